@@ -1,0 +1,49 @@
+python := `command -v python3.11 || command -v python3.10 || command -v python3`
+bin := ".venv/bin"
+
+# list the recipes
+default:
+    @just --list
+
+# make .venv with the locked packages (again only when the lock changes)
+setup:
+    @cmp -s requirements.lock .venv/requirements.lock || ({{python}} -m venv .venv && {{bin}}/pip install -r requirements.lock && {{bin}}/pip install --no-deps -e . && cp requirements.lock .venv/)
+
+# generate data, train the rows of a small table, test them and print it (under 15 minutes on two cores)
+demo: setup
+    {{bin}}/python src/train.py -m scenario=collision model=copy_c,copy_b
+    {{bin}}/python src/train.py -m scenario=collision 'ablation=glob(*)' trainer.max_epochs=15
+    {{bin}}/python src/report.py
+    @echo "Curves: {{bin}}/tensorboard --logdir outputs"
+
+# run the tests (minutes), or some: just test tests/models
+test *args: setup
+    {{bin}}/pytest -n 2 {{args}}
+
+# run the long tests too
+test-slow *args: setup
+    {{bin}}/pytest -m 'slow or not slow' {{args}}
+
+# format, lint and type checks
+check: setup
+    {{bin}}/ruff format --check && {{bin}}/ruff check && {{bin}}/mypy
+
+# measure speed: ratios within one run
+bench *args: setup
+    {{bin}}/python benchmarks/bench.py {{args}}
+
+# train and test one row, or many with -m: just train scenario=balls model=cophynet
+train *args: setup
+    {{bin}}/python src/train.py {{args}}
+
+# generate the datasets of a split: just generate scenario=balls size=small
+generate *args: setup
+    {{bin}}/python src/generate.py {{args}}
+
+# prove a dataset sound: just audit scenario=balls size=small
+audit *args: setup
+    {{bin}}/python src/audit.py {{args}}
+
+# tables from outputs/, ours beside the paper's numbers
+report *args: setup
+    {{bin}}/python src/report.py {{args}}

@@ -1,0 +1,141 @@
+"""Typed configuration: the schemas under conf/, so that a wrong key or type stops every row before the first runs.
+
+They live in groups of their own (`schema/...`), so that `glob(*)` over scenarios or models finds rows only.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING
+
+from cophy.dataset.spec import Size
+from cophy.dataset.splits import Split
+from cophy.models.options import ConfounderSource, Gating
+from cophy.scenario import Balls, Blocktower, Collision
+from cophy.training.settings import Training
+
+
+POSITIONS = ("ground_truth",)  # which positions a predictor may see
+
+
+@dataclass
+class DataConfig:
+    """What every command that touches data takes; scenario, split and size are groups."""
+
+    scenario: Any = MISSING
+    split: Any = MISSING
+    size: Any = MISSING
+    data_dir: str = MISSING
+    workers: int = MISSING
+    seed: int = MISSING
+
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise ValueError(f"workers={self.workers} must be at least 1")
+
+
+@dataclass
+class GenerateConfig(DataConfig):
+    """generate.py and audit.py. num_objects: None for those the split needs."""
+
+    num_objects: list[int] | None = None
+
+
+@dataclass
+class TrainerConfig:
+    """Arguments of lightning.Trainer that a run may set."""
+
+    max_epochs: int = MISSING
+    accelerator: str = MISSING
+    devices: Any = MISSING
+    precision: str = MISSING
+    deterministic: bool = MISSING
+    gradient_clip_val: float | None = None
+    max_time: str | None = None
+    check_val_every_n_epoch: int = 1
+    limit_train_batches: float | None = None
+    limit_val_batches: float | None = None
+    limit_test_batches: float | None = None
+    fast_dev_run: bool = False
+    log_every_n_steps: int = 50
+    enable_progress_bar: bool = True
+    enable_model_summary: bool = True
+    num_nodes: int = 1
+    strategy: str = "auto"
+    profiler: str | None = None
+
+
+@dataclass
+class TrainConfig(DataConfig):
+    """train.py. data_seed: seed of the dataset; seed: of the training."""
+
+    model: Any = MISSING
+    training: Training = MISSING
+    trainer: TrainerConfig = field(default_factory=TrainerConfig)
+    positions: str = MISSING
+    data_seed: int = MISSING
+    threads: int = MISSING
+    ckpt: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.positions not in POSITIONS:
+            raise ValueError(f"positions={self.positions} is not among {', '.join(POSITIONS)}")
+
+
+@dataclass
+class CoPhyNetConfig:
+    """cophy.models.cophynet.CoPhyNet, which explains its arguments."""
+
+    _target_: str = "cophy.models.cophynet.CoPhyNet"
+    hidden_dim: int = MISSING
+    gru_layers: int = MISSING
+    edge_layers: int = MISSING
+    node_layers: int = MISSING
+    temperature: float = MISSING
+    confounders: ConfounderSource = MISSING
+    gating: Gating = MISSING
+
+    def __post_init__(self) -> None:
+        if min(self.hidden_dim, self.gru_layers, self.node_layers) < 1 or self.edge_layers < 2:
+            raise ValueError("model: hidden_dim, gru_layers and node_layers must be at least 1, edge_layers at least 2")
+        if self.temperature <= 0:
+            raise ValueError(f"model.temperature={self.temperature} must be positive")
+
+
+@dataclass
+class CopyCConfig:
+    """Nothing to configure."""
+
+    _target_: str = "cophy.models.copying.CopyC"
+
+
+@dataclass
+class CopyBConfig:
+    """Nothing to configure."""
+
+    _target_: str = "cophy.models.copying.CopyB"
+
+
+@dataclass
+class ReportConfig:
+    """report.py. outputs: where train.py wrote its runs."""
+
+    outputs: str = MISSING
+    directory: str = MISSING
+
+
+def register() -> None:
+    """Make the schemas known to Hydra."""
+    store = ConfigStore.instance()
+    groups: dict[str, dict[str, type]] = {
+        "schema/root": {"train": TrainConfig, "generate": GenerateConfig, "report": ReportConfig},
+        "schema/scenario": {"blocktower": Blocktower, "balls": Balls, "collision": Collision},
+        "schema/split": {"split": Split},
+        "schema/size": {"size": Size},
+        "schema/model": {"cophynet": CoPhyNetConfig, "copy_c": CopyCConfig, "copy_b": CopyBConfig},
+    }
+    for group, nodes in groups.items():
+        for name, node in nodes.items():
+            store.store(group=group, name=name, node=node)

@@ -1,0 +1,81 @@
+"""Arrays on disk -> tensors in memory, batched by slicing."""
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import BatchSampler, DataLoader, Dataset, RandomSampler, SequentialSampler
+
+from cophy.dataset.splits import SPLITS, Part
+from cophy.scenario import Scenario
+from cophy.types import Batch
+
+
+class CounterfactualDataset(Dataset[Batch]):
+    """One split of a dataset, whole in memory; an index is a list of experiments, an item their `Batch`."""
+
+    def __init__(self, batch: Batch) -> None:
+        self.batch = batch
+
+    def __len__(self) -> int:
+        return len(self.batch.initial)
+
+    def __getitem__(self, indices: list[int]) -> Batch:
+        rows = torch.as_tensor(indices)
+        return Batch(*(tensor[rows] for tensor in self.batch))
+
+    def loader(self, batch_size: int, *, shuffle: bool) -> DataLoader[Batch]:
+        """Batches of up to `batch_size` experiments, sliced at once: no worker processes are worth their cost."""
+        sampler = RandomSampler(self) if shuffle else SequentialSampler(self)
+        return DataLoader(self, sampler=BatchSampler(sampler, batch_size, drop_last=False), batch_size=None)
+
+
+def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
+    """Positions at the frame rate, presence, raw confounders and stability labels of all experiments."""
+    stride = scenario.clock.states_per_frame
+    positions = torch.from_numpy(arrays["states"][:, :, ::stride, :, :3].copy())
+    observed_presence, presence = torch.from_numpy(arrays["presence"]).unbind(1)
+    return Batch(
+        observed=positions[:, 0],
+        observed_presence=observed_presence,
+        initial=positions[:, 1, 0],
+        presence=presence,
+        confounders=_confounders(arrays),
+        target=positions[:, 1, 1:],
+        stable=_stable(arrays["states"][:, 1], stride, scenario.task.stable_speed),
+    )
+
+
+def select(arrays: dict[str, np.ndarray], part: Part, split: str) -> dict[str, np.ndarray]:
+    """The experiments of a part that belong to a split (train, val or test)."""
+    rows = part.select(arrays) & (arrays["split"] == SPLITS.index(split))
+    return {name: array[rows] for name, array in arrays.items()}
+
+
+def confounder_statistics(train: Batch) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation (1 for constants) of each confounder over the objects of the training set."""
+    values = train.confounders[train.observed_presence]
+    deviation = values.std(dim=0)
+    return values.mean(dim=0), torch.where(deviation > 0, deviation, 1.0)
+
+
+def standardise(batch: Batch, statistics: tuple[Tensor, Tensor]) -> Batch:
+    """The batch with its confounders centred and scaled; empty slots stay zero."""
+    mean, deviation = statistics
+    scaled = (batch.confounders - mean) / deviation * batch.observed_presence[..., None]
+    return batch._replace(confounders=scaled)
+
+
+def _confounders(arrays: dict[str, np.ndarray]) -> Tensor:
+    """(experiment, slot, 8) in the order of `types.CONFOUNDERS`."""
+    per_object = np.stack([arrays[name] for name in ("mass", "friction", "restitution")], axis=-1)
+    gravity = np.broadcast_to(arrays["gravity"][:, None, :2], (*per_object.shape[:2], 2))
+    velocity = arrays["states"][:, 0, 0, :, 7:10]
+    return torch.from_numpy(np.concatenate([per_object, gravity, velocity], axis=-1).astype(np.float32))
+
+
+def _stable(states: np.ndarray, stride: int, stable_speed: float) -> Tensor:
+    """(experiment, frame 1 ... T-1, slot): slow at every state after the frame before, up to and with this frame."""
+    slow = np.linalg.norm(states[..., 7:10], axis=-1) < stable_speed
+    num_frames = slow.shape[1] // stride
+    after_first = slow[:, 1 : (num_frames - 1) * stride + 1]
+    return torch.from_numpy(after_first.reshape(len(slow), num_frames - 1, stride, -1).all(axis=2))

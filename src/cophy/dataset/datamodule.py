@@ -1,0 +1,68 @@
+"""LightningDataModule over generated data: makes what is missing, holds everything in memory."""
+
+from pathlib import Path
+
+import lightning as L
+import numpy as np
+from torch.utils.data import DataLoader
+
+from cophy.dataset import generation, store
+from cophy.dataset.counterfactual import CounterfactualDataset, confounder_statistics, select, standardise, to_batch
+from cophy.dataset.spec import DatasetSpec, Size
+from cophy.dataset.splits import Split
+from cophy.errors import CophyError
+from cophy.scenario import Scenario
+from cophy.types import Batch
+
+
+class CounterfactualDataModule(L.LightningDataModule):
+    """Trains and validates on one part of the data, tests on another (or the same); see conf/split/."""
+
+    def __init__(
+        self, *, scenario: Scenario, split: Split, size: Size, seed: int, data_dir: Path, batch_size: int, workers: int
+    ) -> None:
+        super().__init__()
+        if split.name not in scenario.task.splits:
+            raise CophyError(f"split={split.name} does not go with {scenario.name}: use {', '.join(scenario.task.splits)}")
+        self.scenario, self.split, self.data_dir = scenario, split, data_dir
+        self.batch_size, self.workers = batch_size, workers
+        self.train_spec = DatasetSpec(scenario, split.train.num_objects, size, seed)
+        self.test_spec = DatasetSpec(scenario, split.test.num_objects, size, seed)
+
+    @property
+    def dataset_ids(self) -> list[str]:
+        """Datasets this split reads: the training one first, then the test one if it is another."""
+        return list(dict.fromkeys([self.train_spec.id, self.test_spec.id]))
+
+    def prepare_data(self) -> None:
+        """Generate what is missing."""
+        for spec in (self.train_spec, self.test_spec):
+            generation.ensure(spec, data_dir=self.data_dir, workers=self.workers)
+
+    def setup(self, stage: str | None = None) -> None:
+        """Load all splits; confounders are standardised over the training one."""
+        if hasattr(self, "train"):
+            return
+        specs = {spec.id: spec for spec in (self.train_spec, self.test_spec)}
+        arrays = {name: store.load(spec.directory(self.data_dir), spec) for name, spec in specs.items()}
+        train = self._part(arrays, "train")
+        statistics = confounder_statistics(train)
+        self.train = CounterfactualDataset(standardise(train, statistics))
+        self.val = CounterfactualDataset(standardise(self._part(arrays, "val"), statistics))
+        self.test = CounterfactualDataset(standardise(self._part(arrays, "test"), statistics))
+
+    def train_dataloader(self) -> DataLoader[Batch]:
+        return self.train.loader(self.batch_size, shuffle=True)
+
+    def val_dataloader(self) -> DataLoader[Batch]:
+        return self.val.loader(self.batch_size, shuffle=False)
+
+    def test_dataloader(self) -> DataLoader[Batch]:
+        return self.test.loader(self.batch_size, shuffle=False)
+
+    def _part(self, arrays: dict[str, dict[str, np.ndarray]], split: str) -> Batch:
+        spec, part = (self.test_spec, self.split.test) if split == "test" else (self.train_spec, self.split.train)
+        chosen = select(arrays[spec.id], part, split)
+        if not len(chosen["split"]):
+            raise CophyError(f"split={self.split.name} leaves no {split} experiments of {spec.id}: take a larger size=")
+        return to_batch(chosen, self.scenario)

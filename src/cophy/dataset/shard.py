@@ -1,0 +1,119 @@
+"""One file of experiments: HDF5, whole or not at all, safe to read whoever wrote it."""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import h5py
+import numpy as np
+
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.splits import split_of_experiments
+from cophy.scenario import Displace, Experiment
+from cophy.scenario.assignment import seen_configurations
+
+
+class DamagedShard(Exception):
+    """The bytes are not those of a whole shard; the message says what is wrong with them."""
+
+
+def layout(spec: DatasetSpec) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Arrays of a shard: shape of one experiment and dtype. Sequence 0 is observed (AB), 1 counterfactual (CD).
+
+    states: position, quaternion_xyzw, linear and angular velocity at the state rate. object_index: place in the
+    scenario's own order (towers: bottom to top), which `configuration` refers to; -1 where the slot is empty.
+    do_operation: index into the scenario's do_operations, with the slot and offset (m) it concerns.
+    """
+    slots, times = spec.scenario.num_slots, spec.scenario.clock.num_states
+    return {
+        "states": ((2, times, slots, 13), "<f4"),
+        "presence": ((2, slots), "|b1"),
+        "shape": ((slots,), "|u1"),
+        "object_index": ((slots,), "|i1"),
+        "mass": ((slots,), "<f4"),
+        "friction": ((slots,), "<f4"),
+        "restitution": ((slots,), "<f4"),
+        "gravity": ((3,), "<f4"),
+        "configuration": ((), "<i4"),
+        "seen": ((), "|b1"),
+        "do_operation": ((), "|u1"),
+        "do_slot": ((), "|u1"),
+        "do_offset": ((3,), "<f4"),
+        "stratum": ((), "|u1"),
+        "twin": ((), "<i4"),
+        "split": ((), "|u1"),
+        "background_seed": ((), "<i4"),
+        "pair_simulations": ((), "<i4"),
+    }
+
+
+def to_arrays(experiments: Sequence[Experiment], shard: int, spec: DatasetSpec) -> dict[str, np.ndarray]:
+    """Stack the experiments of a shard."""
+    indices = spec.experiments_of_shard(shard)
+    arrays = {name: np.zeros((len(indices), *shape), dtype) for name, (shape, dtype) in layout(spec).items()}
+    arrays["object_index"][:] = -1
+    arrays["twin"][:] = np.array(indices) // 2
+    arrays["split"][:] = split_of_experiments(spec.num_experiments, spec.seed)[indices]
+    seen = seen_configurations(spec.scenario.confounders.num_configurations(spec.num_objects), spec.seed)
+    for row, experiment in enumerate(experiments):
+        for name, value in _fields(experiment, spec).items():
+            arrays[name][row] = value
+        arrays["seen"][row] = seen[experiment.configuration]
+        for index, body in enumerate(experiment.scene.objects):
+            arrays["object_index"][row, body.slot] = index
+            arrays["shape"][row, body.slot] = body.shape
+            for name in ("mass", "friction", "restitution"):
+                arrays[name][row, body.slot] = getattr(body, name)
+    return arrays
+
+
+def _fields(experiment: Experiment, spec: DatasetSpec) -> dict[str, Any]:
+    operation = experiment.do_operation
+    sequences = (experiment.observed, experiment.counterfactual)
+    return {
+        "states": np.stack([sequence.states for sequence in sequences]),
+        "presence": np.stack([sequence.presence for sequence in sequences]),
+        "gravity": experiment.scene.gravity,
+        "configuration": experiment.configuration,
+        "do_operation": spec.scenario.do_operations.index(experiment.do_operation_name),
+        "do_slot": operation.slot,
+        "do_offset": operation.offset_m if isinstance(operation, Displace) else 0.0,
+        "stratum": experiment.stratum,
+        "background_seed": experiment.background_seed,
+        "pair_simulations": experiment.pair_simulations,
+    }
+
+
+def encode(arrays: dict[str, np.ndarray]) -> bytes:
+    """The bytes of a shard, the same for the same arrays (no timestamps)."""
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver=("v110", "v110")) as file:
+        for name, array in arrays.items():
+            chunks = (1, *array.shape[1:]) if name == "states" else None
+            compression = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if chunks else {}
+            file.create_dataset(name, data=array, chunks=chunks, track_times=False, **compression)
+    return buffer.getvalue()
+
+
+def decode(content: bytes, shard: int, spec: DatasetSpec) -> dict[str, np.ndarray]:
+    """The arrays of a shard. Only plain arrays of the expected shape and type are read; nothing outside the bytes is.
+
+    Raises DamagedShard when something is missing, cut off or not what the spec says.
+    """
+    count = len(spec.experiments_of_shard(shard))
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            return {name: _read(file, name, (count, *shape), dtype) for name, (shape, dtype) in layout(spec).items()}
+    except (OSError, KeyError, RuntimeError) as error:
+        raise DamagedShard(" ".join(str(error).split())) from error
+
+
+def _read(file: h5py.File, name: str, shape: tuple[int, ...], dtype: str) -> np.ndarray:
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        raise DamagedShard(f"'{name}' is missing or points elsewhere")
+    array = file[name]
+    if not isinstance(array, h5py.Dataset) or array.is_virtual or array.external:
+        raise DamagedShard(f"'{name}' is not an array stored in this file")
+    if array.shape != shape or array.dtype != np.dtype(dtype):
+        raise DamagedShard(f"'{name}' is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}")
+    return np.asarray(array[()])

@@ -1,0 +1,56 @@
+"""Which experiments train, validate and test: 0.7 : 0.2 : 0.1 by twin pair, and the parts `split=` asks for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cophy.scenario import Shape
+
+SPLITS = ("train", "val", "test")
+FRACTIONS = (0.7, 0.2, 0.1)  # paper Sec. 3
+
+
+@dataclass
+class Part:
+    """The half of a split that is trained on, or tested on.
+
+    moving: only experiments whose moving object is a sphere, or a cylinder (paper Table 4).
+    configurations: only seen, or only unseen, confounder configurations (paper Table 2, †).
+    """
+
+    num_objects: int
+    moving: str | None = None
+    configurations: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.moving not in (None, "sphere", "cylinder"):
+            raise ValueError(f"split: moving={self.moving} is neither sphere nor cylinder")
+        if self.configurations not in (None, "seen", "unseen"):
+            raise ValueError(f"split: configurations={self.configurations} is neither seen nor unseen")
+
+    def select(self, arrays: dict[str, np.ndarray]) -> np.ndarray:
+        """(experiment,) bool: the experiments of a dataset that belong to this part."""
+        selected = np.ones(len(arrays["split"]), dtype=bool)
+        if self.moving is not None:
+            moves = np.linalg.norm(arrays["states"][:, 0, 0, :, 7:10], axis=-1) > 0
+            selected &= (moves & (arrays["shape"] == Shape[self.moving.upper()])).any(axis=-1)
+        if self.configurations is not None:
+            selected &= arrays["seen"] == (self.configurations == "seen")
+        return selected
+
+
+@dataclass
+class Split:
+    """What is trained and validated on, and what is tested on (conf/split/*.yaml)."""
+
+    name: str
+    train: Part
+    test: Part
+
+
+def split_of_experiments(num_experiments: int, seed: int) -> np.ndarray:
+    """(experiment,) index into SPLITS; the twins 2p and 2p + 1 always share theirs."""
+    num_pairs = num_experiments // 2
+    ends = np.round(np.cumsum(FRACTIONS) * num_pairs)
+    rank = np.random.default_rng((seed, 0x5B117)).permutation(num_pairs)
+    return np.repeat(np.searchsorted(ends, rank, side="right"), 2).astype(np.uint8)

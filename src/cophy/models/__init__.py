@@ -1,0 +1,1 @@
+"""Predictors: `Batch` in, `Prediction` out. They know no Lightning, no configuration and no files."""

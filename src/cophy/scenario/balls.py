@@ -1,0 +1,82 @@
+"""BallsCF (paper Sec. 3): balls launched on a plane inside four walls, bouncing off each other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cophy.scenario.do_operations import Displace, DoOperation, Remove
+from cophy.scenario.scene import Body, Scene, Shape
+from cophy.scenario.search import SimulatedSearch
+from cophy.scenario.surroundings import floor, walls
+
+
+@dataclass
+class Balls(SimulatedSearch):
+    """Fields of conf/scenario/balls.yaml beyond those of every scenario."""
+
+    ball_diameter: float
+    arena_half_width: float  # from the origin to each wall's inner face
+    wall_height: float
+    min_gap: float  # between any two balls, and to the walls, in A and C
+    speed: list[float]  # of every ball at t = 0, in a random direction: smallest and largest
+    displacement: list[float]  # smallest and largest, in a random direction
+
+    @classmethod
+    def known_do_operations(cls) -> tuple[str, ...]:
+        return ("displace", "remove")
+
+    @classmethod
+    def strata(cls) -> tuple[str, ...]:
+        return ("balls",)
+
+    @classmethod
+    def num_cells(cls) -> int:
+        return 1
+
+    def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
+        reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2
+        centres = rng.uniform(-reach, reach, (len(slots), 2))
+        while not self._apart(centres):
+            centres = rng.uniform(-reach, reach, (len(slots), 2))
+        velocities = rng.uniform(*self.speed, len(slots))[:, None] * _directions(len(slots), rng)
+        balls = tuple(
+            Body(
+                Shape.SPHERE,
+                (self.ball_diameter, self.ball_diameter, self.ball_diameter),
+                position=(float(x), float(y), self.ball_diameter / 2),
+                linear_velocity=(float(vx), float(vy), 0.0),
+                slot=slot,
+                mass=1.0,
+            )
+            for slot, (x, y), (vx, vy) in zip(slots, centres, velocities, strict=True)
+        )
+        bodies = (floor(), *walls(self.arena_half_width, self.wall_height), *balls)
+        return Scene(bodies, gravity=(0.0, 0.0, self.gravity_z))
+
+    def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
+        balls = scene.objects
+        if kind == "remove":
+            return Remove(_slot(balls[rng.integers(len(balls))]))
+        centres = np.array([ball.position[:2] for ball in balls])
+        reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2
+        while True:
+            index = int(rng.integers(len(balls)))
+            x, y = rng.uniform(*self.displacement) * _directions(1, rng)[0]
+            moved = centres.copy()
+            moved[index] += (x, y)
+            if self._apart(moved) and np.abs(moved).max() <= reach:
+                return Displace(_slot(balls[index]), (float(x), float(y), 0.0))
+
+    def _apart(self, centres: np.ndarray) -> bool:
+        distance = np.linalg.norm(centres[:, None] - centres, axis=-1)
+        return bool((distance[np.triu_indices(len(centres), 1)] >= self.ball_diameter + self.min_gap).all())
+
+
+def _directions(count: int, rng: np.random.Generator) -> np.ndarray:
+    angle = rng.uniform(0.0, 2 * np.pi, count)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def _slot(body: Body) -> int:
+    assert body.slot is not None
+    return body.slot

@@ -1,0 +1,62 @@
+"""Confounders (paper Sec. 3): the quantities no single image shows, on grids that are data, not code."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Confounders:
+    """True confounders of one experiment, objects in the scenario's own order (towers: bottom to top).
+
+    mass (kg), friction, restitution: one value per object; gravity_xy (m/s²): one pair for the scene.
+    """
+
+    mass: tuple[float, ...]
+    friction: tuple[float, ...]
+    restitution: tuple[float, ...]
+    gravity_xy: tuple[float, float]
+
+
+@dataclass
+class ConfounderGrid:
+    """The values each confounder can take; a single value makes it a constant.
+
+    A configuration (an index in [0, num_configurations)) picks one value per object for mass, friction and
+    restitution, and one per scene for the horizontal components of gravity.
+    """
+
+    mass: list[float]
+    friction: list[float]
+    restitution: list[float]
+    gravity_x: list[float]
+    gravity_y: list[float]
+
+    def __post_init__(self) -> None:
+        if not all(self._axes(1)):
+            raise ValueError("a confounder grid needs at least one value each, or the confounder has no value")
+        if min(self.mass) <= 0 or min(self.friction) < 0 or not 0 <= min(self.restitution) <= max(self.restitution) <= 1:
+            raise ValueError("confounders: mass must be > 0, friction >= 0 and restitution in [0, 1]")
+
+    def _axes(self, num_objects: int) -> list[list[float]]:
+        per_object = [grid for grid in (self.mass, self.friction, self.restitution) for _ in range(num_objects)]
+        return [*per_object, self.gravity_x, self.gravity_y]
+
+    def num_configurations(self, num_objects: int) -> int:
+        """Number of different configurations of `num_objects` objects."""
+        return int(np.prod([len(axis) for axis in self._axes(num_objects)]))
+
+    def decode(self, configuration: int, num_objects: int) -> Confounders:
+        """The values that a configuration stands for."""
+        axes = self._axes(num_objects)
+        indices = np.unravel_index(configuration, [len(axis) for axis in axes])
+        values = [float(axis[index]) for axis, index in zip(axes, indices, strict=True)]
+        mass, friction, restitution = (tuple(values[k * num_objects : (k + 1) * num_objects]) for k in range(3))
+        return Confounders(mass, friction, restitution, gravity_xy=(values[-2], values[-1]))
+
+    def masses_and_gravities(self, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
+        """Every combination of masses and horizontal gravity: (configuration, object) kg, (configuration, 2) m/s²."""
+        combinations = list(itertools.product(*[self.mass] * num_objects, self.gravity_x, self.gravity_y))
+        table = np.array(combinations, dtype=float)
+        return table[:, :num_objects], table[:, num_objects:]

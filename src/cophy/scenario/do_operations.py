@@ -1,0 +1,33 @@
+"""Do-operations (paper Sec. 3): visible changes of the initial scene A that make it C. Pure: A stays intact."""
+
+from dataclasses import dataclass, replace
+
+from cophy.scenario.scene import Scene, Vector
+
+
+@dataclass(frozen=True)
+class Displace:
+    """Move one object by `offset_m` (metres, world frame)."""
+
+    slot: int
+    offset_m: Vector
+
+    def apply(self, scene: Scene) -> Scene:
+        """The scene with the object moved."""
+        body = next(body for body in scene.objects if body.slot == self.slot)
+        x, y, z = (p + d for p, d in zip(body.position, self.offset_m, strict=True))
+        return scene.with_object(replace(body, position=(x, y, z)))
+
+
+@dataclass(frozen=True)
+class Remove:
+    """Take one object away."""
+
+    slot: int
+
+    def apply(self, scene: Scene) -> Scene:
+        """The scene without the object."""
+        return scene.without_object(self.slot)
+
+
+DoOperation = Displace | Remove

@@ -1,0 +1,146 @@
+"""What the three scenarios share: the fields of conf/scenario/*.yaml and the frame of a twin pair."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from cophy.errors import CophyError
+from cophy.scenario.assignment import Assignment, assign
+from cophy.scenario.confounders import ConfounderGrid
+from cophy.scenario.do_operations import DoOperation
+from cophy.scenario.experiment import Experiment, with_confounders
+from cophy.scenario.physics import Clock, Simulator, Solver
+from cophy.scenario.scene import Scene, Trajectory
+
+
+@dataclass
+class Camera:
+    """Fixed camera of a scenario, in metres and degrees (vertical field of view)."""
+
+    eye: list[float]
+    target: list[float]
+    field_of_view_deg: float
+
+
+@dataclass
+class Task:
+    """How predictions on this scenario are judged; changes no data.
+
+    metric_dims: coordinates that count in the MSE (balls: x and y). stable_speed: an object slower than this (m/s)
+    is stable. splits: the names `split=` takes, the default first.
+    """
+
+    metric_dims: int
+    stable_speed: float
+    splits: list[str]
+
+
+@dataclass
+class Scenario(ABC):
+    """Fields of every scenario. Distances in m, speeds in m/s; each is explained, with its source, in the YAML."""
+
+    name: str
+    colors: dict[str, str]  # name of a slot -> "#rrggbb"; a colour is an identity
+    num_objects: list[int]  # how many objects an experiment may have
+    confounders: ConfounderGrid
+    do_operations: list[str]
+    gravity_z: float
+    solver: Solver
+    clock: Clock
+    camera: Camera
+    task: Task
+    min_difference: float  # outcomes are significantly different from this trajectory distance on
+
+    def __post_init__(self) -> None:
+        unknown = set(self.do_operations) - set(self.known_do_operations())
+        if unknown or not self.do_operations:
+            raise ValueError(
+                f"scenario.do_operations: {sorted(unknown)} not among {list(self.known_do_operations())}"
+                if unknown
+                else "scenario.do_operations is empty"
+            )
+
+    @property
+    def num_slots(self) -> int:
+        """Colour slots K of every array."""
+        return len(self.colors)
+
+    @classmethod
+    @abstractmethod
+    def known_do_operations(cls) -> tuple[str, ...]:
+        """Names allowed in `do_operations`."""
+
+    @classmethod
+    @abstractmethod
+    def strata(cls) -> tuple[str, ...]:
+        """Names of the strata that `Experiment.stratum` counts in."""
+
+    @classmethod
+    @abstractmethod
+    def num_cells(cls) -> int:
+        """How many cells the pairs of one block go through (see `assignment`)."""
+
+    @abstractmethod
+    def search(
+        self, assignment: Assignment, slots: tuple[int, ...], rng: np.random.Generator, simulator: Simulator
+    ) -> "TwinPair":
+        """Find a scene, a do-operation and a second configuration that fill the assignment, and simulate them."""
+
+    def twin_pair(
+        self, num_objects: int, *, seed: int, pair: int, simulator: Simulator
+    ) -> tuple[Experiment, Experiment]:
+        """The twin experiments 2·pair and 2·pair + 1: a pure function of (self, num_objects, seed, pair)."""
+        if num_objects not in self.num_objects:
+            raise CophyError(f"{self.name} has {self.num_objects} objects, not {num_objects}: see num_objects=")
+        assignment = assign(
+            pair,
+            seed=seed,
+            num_configurations=self.confounders.num_configurations(num_objects),
+            num_do_operations=len(self.do_operations),
+            num_cells=self.num_cells(),
+        )
+        rng = np.random.default_rng((seed, pair))
+        slots = tuple(int(slot) for slot in rng.permutation(self.num_slots)[:num_objects])
+        background_seed = int(rng.integers(2**31))
+        before = simulator.num_simulations
+        found = self.search(assignment, slots, rng, simulator)
+        spent = simulator.num_simulations - before
+        first, second = (
+            Experiment(
+                scene=self.under(configuration, found.scene),
+                do_operation=found.do_operation,
+                do_operation_name=self.do_operations[assignment.do_operation],
+                observed=observed,
+                counterfactual=counterfactual,
+                confounders=self.confounders.decode(configuration, num_objects),
+                configuration=configuration,
+                stratum=stratum,
+                background_seed=background_seed,
+                pair_simulations=spent,
+            )
+            for configuration, observed, counterfactual, stratum in zip(
+                (assignment.first, found.second), found.observed, found.counterfactual, found.strata, strict=True
+            )
+        )
+        return first, second
+
+    def simulate(self, simulator: Simulator, scene: Scene) -> Trajectory:
+        """Simulate a scene with this scenario's solver and clock."""
+        return simulator.simulate(scene, solver=self.solver, clock=self.clock, num_slots=self.num_slots)
+
+    def under(self, configuration: int, scene: Scene) -> Scene:
+        """The scene A under a configuration of confounders."""
+        return with_confounders(scene, self.confounders.decode(configuration, len(scene.objects)))
+
+
+@dataclass(frozen=True)
+class TwinPair:
+    """What a search found: one scene and do-operation, and for both twins their sequences and strata."""
+
+    scene: Scene
+    do_operation: DoOperation
+    second: int
+    observed: tuple[Trajectory, Trajectory]
+    counterfactual: tuple[Trajectory, Trajectory]
+    strata: tuple[int, int]

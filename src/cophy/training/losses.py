@@ -1,0 +1,28 @@
+"""The two terms of the paper's training loss (Sec. 4.2, Training), as means over what is present."""
+
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from cophy.types import Batch, Prediction
+
+
+def masked_mean(values: Tensor, presence: Tensor) -> Tensor:
+    """Mean over (B, T, K) of the present objects' values; presence is (B, K)."""
+    weight = presence[:, None].expand_as(values)
+    return (values * weight).sum() / weight.sum()
+
+
+def position_loss(prediction: Prediction, batch: Batch) -> Tensor:
+    """Mean squared error of the positions, over coordinates, present objects and steps (L_mse)."""
+    return masked_mean((prediction.position - batch.target).square().mean(dim=-1), batch.presence)
+
+
+def stability_loss(logit: Tensor, batch: Batch) -> Tensor:
+    """Binary cross entropy of the stability logits (L_ce)."""
+    target = stability_target(logit, batch).to(logit.dtype)
+    return masked_mean(binary_cross_entropy_with_logits(logit, target, reduction="none"), batch.presence)
+
+
+def stability_target(logit: Tensor, batch: Batch) -> Tensor:
+    """True stability per step; where the logit stands for the whole sequence, whether the object is always stable."""
+    return batch.stable if logit.shape[1] == batch.stable.shape[1] else batch.stable.all(dim=1, keepdim=True)

@@ -1,0 +1,17 @@
+"""How predictors are trained (`training` in conf/train.yaml)."""
+
+from dataclasses import dataclass
+
+
+@dataclass
+class Training:
+    """Optimisation with Adam; each value's source is in the YAML."""
+
+    batch_size: int
+    learning_rate: float
+    position_weight: float
+    stability_weight: float
+
+    def __post_init__(self) -> None:
+        if self.batch_size < 1 or self.learning_rate <= 0 or min(self.position_weight, self.stability_weight) < 0:
+            raise ValueError(f"training: batch_size and learning_rate must be positive, weights not negative: {self}")

@@ -1,0 +1,41 @@
+"""What passes between data and models. Axes: B batch, T frames (5 Hz), K colour slots, F features; metres, z up."""
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+# Per-object features of `Batch.confounders`. The initial velocity is invisible in A and C and shared by AB and CD,
+# so it counts as a confounder wherever the true ones are given to a model.
+CONFOUNDERS = ("mass", "friction", "restitution", "gravity_x", "gravity_y", "velocity_x", "velocity_y", "velocity_z")
+
+
+class Batch(NamedTuple):
+    """Experiments as models see them. Slots that hold no object are zero, and False in the masks.
+
+    observed: (B, T, K, 3) positions of AB; observed_presence: (B, K) objects in AB.
+    initial: (B, K, 3) positions in C; presence: (B, K) objects in CD.
+    confounders: (B, K, 8) true confounders, standardised over the training set; constant ones are zero.
+    target: (B, T-1, K, 3) positions of D, frames 1 ... T-1.
+    stable: (B, T-1, K) whether an object stays below the stable speed from the frame before until this one.
+    """
+
+    observed: Tensor
+    observed_presence: Tensor
+    initial: Tensor
+    presence: Tensor
+    confounders: Tensor
+    target: Tensor
+    stable: Tensor
+
+
+class Prediction(NamedTuple):
+    """What a model says about D.
+
+    position: (B, T-1, K, 3) metres; values in absent slots mean nothing.
+    stable_logit: (B, T-1, K), or (B, 1, K) where it is decided once for the sequence; positive means stable.
+    confounder_estimate: (B, K, H), the latent U.
+    """
+
+    position: Tensor
+    stable_logit: Tensor | None = None
+    confounder_estimate: Tensor | None = None

@@ -1,0 +1,30 @@
+"""Generate the datasets a split needs: python src/generate.py scenario=balls size=small"""
+
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig
+
+from cophy import cli, config
+from cophy.dataset import generation
+from cophy.dataset.spec import DatasetSpec
+
+config.register()
+
+
+@hydra.main(version_base="1.3", config_path="../conf", config_name="generate")
+def main(cfg: DictConfig) -> None:
+    settings: config.GenerateConfig = cli.to_config(cfg)
+    for spec in specs(settings):
+        generation.generate(spec, data_dir=Path(settings.data_dir), workers=settings.workers)
+
+
+def specs(settings: config.GenerateConfig) -> list[DatasetSpec]:
+    """The datasets that the split, or num_objects, names."""
+    split = settings.split
+    counts = settings.num_objects or sorted({split.train.num_objects, split.test.num_objects})
+    return [DatasetSpec(settings.scenario, count, settings.size, settings.seed) for count in counts]
+
+
+if __name__ == "__main__":
+    cli.run(main)

@@ -1,0 +1,78 @@
+"""Shared fixtures: scenarios as configured, one simulator, tiny datasets made once per session."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from filelock import FileLock
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from cophy import config
+from cophy.dataset import generation, store
+from cophy.dataset.counterfactual import to_batch
+from cophy.dataset.spec import DatasetSpec
+from cophy.scenario import Scenario, Simulator
+from cophy.types import Batch
+
+ROOT = Path(__file__).parents[1]
+SCENARIOS = {"blocktower": 3, "balls": 4, "collision": 2}  # with the number of objects of its default split
+
+config.register()
+torch.set_num_threads(1)
+
+
+def composed(name: str, *overrides: str) -> Any:
+    """A configuration as the command line composes it."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        return compose(name, list(overrides))
+
+
+def settings(name: str, *overrides: str) -> Any:
+    """The same, typed."""
+    return OmegaConf.to_object(composed(name, *overrides))
+
+
+@pytest.fixture(scope="session")
+def scenario_of() -> Callable[..., Scenario]:
+    """A scenario as conf/ has it, with overrides."""
+    return lambda name, *overrides: settings("generate", f"scenario={name}", *overrides).scenario
+
+
+@pytest.fixture
+def simulator() -> Iterator[Simulator]:
+    with Simulator() as simulator:
+        yield simulator
+
+
+@pytest.fixture(scope="session")
+def tiny_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data directory with one tiny dataset per scenario, shared by parallel test processes."""
+    directory = tmp_path_factory.getbasetemp().parent / "cophy-tiny-data"
+    directory.mkdir(exist_ok=True)
+    with FileLock(directory / ".session.lock"):
+        for name in SCENARIOS:
+            generation.ensure(tiny_spec(name), data_dir=directory, workers=2)
+    return directory
+
+
+def tiny_spec(name: str, num_objects: int | None = None, **size: Any) -> DatasetSpec:
+    """The spec of a tiny dataset."""
+    chosen = settings("generate", f"scenario={name}", "size=tiny", *(f"size.{key}={value}" for key, value in size.items()))
+    return DatasetSpec(chosen.scenario, num_objects or SCENARIOS[name], chosen.size, chosen.seed)
+
+
+@pytest.fixture(scope="session", params=SCENARIOS)
+def tiny(request: pytest.FixtureRequest, tiny_data: Path) -> tuple[DatasetSpec, dict[str, Any]]:
+    """Each scenario's tiny dataset: its spec and its arrays."""
+    spec = tiny_spec(request.param)
+    return spec, store.load(spec.directory(tiny_data), spec)
+
+
+@pytest.fixture(scope="session")
+def tower_batch(tiny_data: Path) -> Batch:
+    """All experiments of the tiny blocktower dataset."""
+    spec = tiny_spec("blocktower")
+    return to_batch(store.load(spec.directory(tiny_data), spec), spec.scenario)

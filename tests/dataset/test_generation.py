@@ -1,0 +1,134 @@
+"""Resume, repair, and the same bytes however a dataset is generated."""
+
+import errno
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cophy.dataset import generation, store
+from cophy.dataset.shard import DamagedShard, decode, encode
+from cophy.errors import CophyError
+from tests.conftest import ROOT, tiny_spec
+
+SPEC = tiny_spec("collision")
+
+
+def digests(directory: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in directory.glob("*.[hj]*")}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return generation.generate(SPEC, data_dir=tmp_path_factory.mktemp("one"), workers=1)
+
+
+def copy(finished: Path, data_dir: Path) -> Path:
+    directory = SPEC.directory(data_dir)
+    directory.mkdir(parents=True)
+    for path in finished.glob("*.[hj]*"):
+        (directory / path.name).write_bytes(path.read_bytes())
+    return directory
+
+
+def test_one_and_two_workers_write_the_same_bytes(finished: Path, tmp_path: Path) -> None:
+    assert digests(generation.generate(SPEC, data_dir=tmp_path, workers=2)) == digests(finished)
+
+
+def test_generating_again_changes_nothing(finished: Path, tmp_path: Path) -> None:
+    directory = copy(finished, tmp_path)
+    before = {path: path.stat().st_mtime_ns for path in directory.iterdir()}
+    generation.generate(SPEC, data_dir=tmp_path, workers=2)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+
+
+def test_a_killed_generation_continues_to_the_same_bytes(finished: Path, tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "src" / "generate.py"), "scenario=collision", "size=tiny", f"data_dir={tmp_path}"]
+    process = subprocess.Popen([*command, "workers=1"], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    directory = SPEC.directory(tmp_path)
+    while not store.shard_path(directory, 0).exists():
+        assert process.poll() is None, "generation ended before it could be killed"
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (directory / store.MANIFEST).exists()
+    generation.generate(SPEC, data_dir=tmp_path, workers=2)
+    assert digests(directory) == digests(finished)
+    assert not list(directory.glob("*.tmp"))
+
+
+def test_a_truncated_shard_is_named_with_its_remedy_and_made_again(
+    finished: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    directory = copy(finished, tmp_path)
+    path = store.shard_path(directory, 1)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(CophyError, match=r"shard-00001\.h5 is damaged .* run `python src/generate\.py scenario=collision"):
+        store.load(directory, SPEC)
+    generation.generate(SPEC, data_dir=tmp_path, workers=1)
+    assert "shard-00001.h5 is damaged" in caplog.text
+    assert digests(directory) == digests(finished)
+
+
+def test_a_damaged_manifest_is_named_with_its_remedy(finished: Path, tmp_path: Path) -> None:
+    directory = copy(finished, tmp_path)
+    (directory / store.MANIFEST).write_text("{")
+    with pytest.raises(CophyError, match=r"manifest\.json is damaged .* delete it and run"):
+        store.load(directory, SPEC)
+
+
+def test_an_unfinished_dataset_is_not_loaded(tmp_path: Path) -> None:
+    with pytest.raises(CophyError, match="no finished dataset"):
+        store.load(SPEC.directory(tmp_path), SPEC)
+
+
+@pytest.mark.parametrize("fault", ["missing", "external", "soft link", "shape"])
+def test_a_foreign_shard_reads_nothing_but_plain_arrays(finished: Path, tmp_path: Path, fault: str) -> None:
+    import h5py
+
+    content = store.shard_path(finished, 0).read_bytes()
+    path = tmp_path / "shard.h5"
+    path.write_bytes(content)
+    with h5py.File(path, "r+") as file:
+        del file["mass"]
+        if fault == "external":
+            file["mass"] = h5py.ExternalLink("/etc/passwd", "x")
+        elif fault == "soft link":
+            file["mass"] = h5py.SoftLink("/friction")
+        elif fault == "shape":
+            file.create_dataset("mass", shape=(10**9, 4), dtype="f4", chunks=(1000, 4))
+    with pytest.raises(DamagedShard, match="mass"):
+        decode(path.read_bytes(), 0, SPEC)
+
+
+def test_decoding_returns_what_was_encoded(finished: Path) -> None:
+    content = store.shard_path(finished, 0).read_bytes()
+    assert encode(decode(content, 0, SPEC)) == content
+
+
+def test_a_full_disk_is_said_in_one_line_and_loses_nothing(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*args: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    directory = copy(finished, tmp_path)
+    (directory / store.MANIFEST).unlink()
+    monkeypatch.setattr(generation, "write_manifest", full)
+    with pytest.raises(CophyError, match=r"no space left .*2 of 2 shards are done.*same command again"):
+        generation.generate(SPEC, data_dir=tmp_path, workers=1)
+
+
+def test_a_changed_constant_is_another_dataset() -> None:
+    assert tiny_spec("collision").id == SPEC.id
+    changed = tiny_spec("collision")
+    changed.scenario.min_difference += 0.01
+    assert changed.id != SPEC.id
+    judged_otherwise = tiny_spec("collision")
+    judged_otherwise.scenario.task.stable_speed += 0.01
+    assert judged_otherwise.id == SPEC.id

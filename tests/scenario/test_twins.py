@@ -1,0 +1,105 @@
+"""Twin pairs of all three scenarios, on the tiny datasets and from scratch."""
+
+import numpy as np
+import pytest
+
+from cophy.dataset.shard import to_arrays
+from cophy.scenario import Shape, Simulator
+from tests.conftest import SCENARIOS, tiny_spec
+
+
+def pairs(arrays: dict, name: str) -> tuple[np.ndarray, np.ndarray]:
+    return arrays[name][::2], arrays[name][1::2]
+
+
+def test_twins_share_everything_but_the_confounders(tiny) -> None:
+    _, arrays = tiny
+    for name in ("twin", "shape", "object_index", "do_operation", "do_slot", "do_offset", "background_seed", "presence", "split"):
+        np.testing.assert_array_equal(*pairs(arrays, name))
+    first, second = pairs(arrays, "states")
+    np.testing.assert_array_equal(first[:, :, 0], second[:, :, 0])  # A, C and every initial velocity
+    assert (np.diff(pairs(arrays, "configuration"), axis=0) != 0).all()
+
+
+def test_observed_and_counterfactual_share_confounders_and_velocities(tiny) -> None:
+    _, arrays = tiny
+    both = arrays["presence"].all(axis=1)
+    a, c = (arrays["states"][:, sequence, 0][both] for sequence in (0, 1))
+    np.testing.assert_array_equal(a[:, 3:], c[:, 3:])
+
+
+def test_the_do_operation_is_all_that_tells_c_from_a(tiny) -> None:
+    spec, arrays = tiny
+    for row in range(len(arrays["twin"])):
+        a, c = arrays["states"][row, :, 0, :, :3]
+        slot, removed = arrays["do_slot"][row], not arrays["presence"][row, 1, arrays["do_slot"][row]]
+        assert removed == spec.scenario.do_operations[arrays["do_operation"][row]].startswith("remove")
+        if removed:
+            assert not c[slot].any()
+        else:
+            np.testing.assert_allclose(c[slot] - a[slot], arrays["do_offset"][row], atol=1e-6)
+        others = np.arange(len(a)) != slot
+        np.testing.assert_array_equal(a[others], c[others])
+
+
+def test_both_outcomes_tell_the_twins_apart(tiny) -> None:
+    spec, arrays = tiny
+    first, second = pairs(arrays, "states")
+    distance = np.linalg.norm(first[..., :3] - second[..., :3], axis=-1).mean(axis=2).max(axis=-1)
+    assert (distance >= spec.scenario.min_difference - 1e-4).all()
+
+
+def test_strata_are_level(tiny) -> None:
+    spec, arrays = tiny
+    counts = np.bincount(arrays["stratum"], minlength=len(spec.scenario.strata()))
+    assert np.ptp(counts) == 0
+
+
+def test_empty_slots_are_zero(tiny) -> None:
+    _, arrays = tiny
+    absent = ~arrays["presence"][:, 0]
+    assert not arrays["mass"][absent].any()
+    assert not arrays["states"][:, 0].swapaxes(1, 2)[absent].any()
+    assert (arrays["object_index"] >= 0).sum() == (~absent).sum()
+
+
+def test_towers_stand_or_fall_as_their_cell_says(tiny) -> None:
+    spec, arrays = tiny
+    if spec.scenario.name != "blocktower":
+        pytest.skip("towers only")
+    moved = np.linalg.norm(arrays["states"][..., :3] - arrays["states"][:, :, :1, :, :3], axis=-1).max(axis=(2, 3))
+    words = np.where(moved < spec.scenario.fallen_distance, "stands", "falls")
+    names = np.array(spec.scenario.strata())[arrays["stratum"]]
+    np.testing.assert_array_equal(np.char.add(np.char.add(words[:, 0], "_"), words[:, 1]), names)
+
+
+def test_collision_launches_one_object_of_the_stratums_shape(tiny) -> None:
+    spec, arrays = tiny
+    if spec.scenario.name != "collision":
+        pytest.skip("collision only")
+    moves = np.linalg.norm(arrays["states"][:, 0, 0, :, 7:10], axis=-1) > 0
+    assert (moves.sum(axis=1) == 1).all()
+    names = np.array(spec.scenario.strata())[arrays["stratum"]]
+    assert [Shape(code).name.lower() for code in arrays["shape"][moves]] == [name.split("_")[0] for name in names]
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_an_experiment_is_a_pure_function_of_seed_and_index(name: str, tiny_data) -> None:
+    from cophy.dataset import store
+
+    spec = tiny_spec(name)
+    with Simulator() as simulator:
+        later = spec.scenario.twin_pair(spec.num_objects, seed=spec.seed, pair=1, simulator=simulator)
+        earlier = spec.scenario.twin_pair(spec.num_objects, seed=spec.seed, pair=0, simulator=simulator)
+    stored = store.load(spec.directory(tiny_data), spec)
+    arrays = to_arrays([*earlier, *later], 0, spec)
+    for array, expected in ((arrays[key], stored[key]) for key in stored):
+        np.testing.assert_array_equal(array[:4], expected[:4])
+
+
+@pytest.mark.parametrize(("name", "num_objects"), [("blocktower", 4), ("balls", 2), ("balls", 6)])
+def test_other_numbers_of_objects_are_generated_too(name: str, num_objects: int, simulator: Simulator) -> None:
+    spec = tiny_spec(name, num_objects)
+    first, second = spec.scenario.twin_pair(num_objects, seed=3, pair=5, simulator=simulator)
+    assert first.observed.presence.sum() == num_objects
+    assert first.configuration != second.configuration
