@@ -60,7 +60,9 @@ def tiny_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def tiny_spec(name: str, num_objects: int | None = None, **size: Any) -> DatasetSpec:
     """The spec of a tiny dataset."""
-    chosen = settings("generate", f"scenario={name}", "size=tiny", *(f"size.{key}={value}" for key, value in size.items()))
+    chosen = settings(
+        "generate", f"scenario={name}", "size=tiny", *(f"size.{key}={value}" for key, value in size.items())
+    )
     return DatasetSpec(chosen.scenario, num_objects or SCENARIOS[name], chosen.size, chosen.seed)
 
 

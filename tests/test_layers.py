@@ -18,7 +18,10 @@ def test_a_layer_imports_only_earlier_layers(path: Path) -> None:
     assert not used & set(LAYERS[LAYERS.index(layer) + 1 :])
 
 
-@pytest.mark.parametrize(("layer", "forbidden"), [("scenario", "torch|lightning|omegaconf|hydra"), ("models", "lightning|omegaconf|hydra|h5py")])
+@pytest.mark.parametrize(
+    ("layer", "forbidden"),
+    [("scenario", "torch|lightning|omegaconf|hydra"), ("models", "lightning|omegaconf|hydra|h5py")],
+)
 def test_a_layer_knows_nothing_of(layer: str, forbidden: str) -> None:
     for path in (PACKAGE / layer).rglob("*.py"):
         assert not re.search(rf"^\s*(from|import) ({forbidden})\b", path.read_text(), re.MULTILINE), path

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from typing import Any
 
@@ -21,7 +21,9 @@ def run(main: Callable[[], Any]) -> None:
     except (HydraException, OmegaConfBaseException, CophyError) as error:
         sys.exit(f"{sys.argv[0]}: {explain(error)}")
     except KeyboardInterrupt:
-        sys.exit("interrupted: the same command continues generation; training goes on with ckpt=<run>/checkpoints/last.ckpt")
+        sys.exit(
+            "interrupted: the same command continues generation; training goes on with ckpt=<run>/checkpoints/last.ckpt"
+        )
 
 
 def to_config(config: Any) -> Any:
@@ -50,6 +52,6 @@ def _siblings(error: OmegaConfBaseException) -> list[str]:
     return [str(key) for key in node] if OmegaConf.is_dict(node) else []
 
 
-def _suggest(name: str, known: list[str]) -> str:
+def _suggest(name: str, known: Sequence[str]) -> str:
     close = [match for match in get_close_matches(name, known, n=1) if match != name]
     return f" (did you mean {close[0]}?)" if close else ""

@@ -15,7 +15,6 @@ from cophy.models.options import ConfounderSource, Gating
 from cophy.scenario import Balls, Blocktower, Collision
 from cophy.training.settings import Training
 
-
 POSITIONS = ("ground_truth",)  # which positions a predictor may see
 
 

@@ -4,9 +4,14 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-# Per-object features of `Batch.confounders`. The initial velocity is invisible in A and C and shared by AB and CD,
-# so it counts as a confounder wherever the true ones are given to a model.
-CONFOUNDERS = ("mass", "friction", "restitution", "gravity_x", "gravity_y", "velocity_x", "velocity_y", "velocity_z")
+# Per-object features of `Batch.confounders`: all that positions hide and AB and CD share. Besides the confounders of
+# the paper these are the initial velocity (invisible in A and C), and shape and orientation at t = 0 (visible in
+# images, but not in positions): whether it is a cylinder, and the direction of a cylinder's axis or a block's side.
+CONFOUNDERS = (
+    *("mass", "friction", "restitution", "gravity_x", "gravity_y"),
+    *("velocity_x", "velocity_y", "velocity_z"),
+    *("cylinder", "axis_x", "axis_y", "axis_z"),
+)
 
 
 class Batch(NamedTuple):
@@ -14,7 +19,7 @@ class Batch(NamedTuple):
 
     observed: (B, T, K, 3) positions of AB; observed_presence: (B, K) objects in AB.
     initial: (B, K, 3) positions in C; presence: (B, K) objects in CD.
-    confounders: (B, K, 8) true confounders, standardised over the training set; constant ones are zero.
+    confounders: (B, K, 12) true confounders (see CONFOUNDERS), standardised over the training set; constant ones are zero.
     target: (B, T-1, K, 3) positions of D, frames 1 ... T-1.
     stable: (B, T-1, K) whether an object stays below the stable speed from the frame before until this one.
     """

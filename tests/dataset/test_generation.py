@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cophy.dataset import generation, store
-from cophy.dataset.shard import DamagedShard, decode, encode
+from cophy.dataset.shard import DamagedShardError, decode, encode
 from cophy.errors import CophyError
 from tests.conftest import ROOT, tiny_spec
 
@@ -48,7 +48,13 @@ def test_generating_again_changes_nothing(finished: Path, tmp_path: Path) -> Non
 
 
 def test_a_killed_generation_continues_to_the_same_bytes(finished: Path, tmp_path: Path) -> None:
-    command = [sys.executable, str(ROOT / "src" / "generate.py"), "scenario=collision", "size=tiny", f"data_dir={tmp_path}"]
+    command = [
+        sys.executable,
+        str(ROOT / "src" / "generate.py"),
+        "scenario=collision",
+        "size=tiny",
+        f"data_dir={tmp_path}",
+    ]
     process = subprocess.Popen([*command, "workers=1"], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     directory = SPEC.directory(tmp_path)
     while not store.shard_path(directory, 0).exists():
@@ -68,7 +74,9 @@ def test_a_truncated_shard_is_named_with_its_remedy_and_made_again(
     directory = copy(finished, tmp_path)
     path = store.shard_path(directory, 1)
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(CophyError, match=r"shard-00001\.h5 is damaged .* run `python src/generate\.py scenario=collision"):
+    with pytest.raises(
+        CophyError, match=r"shard-00001\.h5 is damaged .* run `python src/generate\.py scenario=collision"
+    ):
         store.load(directory, SPEC)
     generation.generate(SPEC, data_dir=tmp_path, workers=1)
     assert "shard-00001.h5 is damaged" in caplog.text
@@ -102,7 +110,7 @@ def test_a_foreign_shard_reads_nothing_but_plain_arrays(finished: Path, tmp_path
             file["mass"] = h5py.SoftLink("/friction")
         elif fault == "shape":
             file.create_dataset("mass", shape=(10**9, 4), dtype="f4", chunks=(1000, 4))
-    with pytest.raises(DamagedShard, match="mass"):
+    with pytest.raises(DamagedShardError, match="mass"):
         decode(path.read_bytes(), 0, SPEC)
 
 

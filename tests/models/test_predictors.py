@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from cophy.models.copying import CopyB, CopyC
 from cophy.models.cophynet import CoPhyNet
+from cophy.models.copying import CopyB, CopyC
 from cophy.training.losses import position_loss, stability_loss
 from cophy.types import Batch, Prediction
 from tests.conftest import settings
@@ -34,7 +34,12 @@ def present(prediction: Prediction, batch: Batch) -> Tensor:
 
 def permuted(batch: Batch, order: list[int]) -> Batch:
     axes = {"observed": 2, "target": 2, "stable": 2}
-    return Batch(**{name: tensor.index_select(axes.get(name, 1), torch.tensor(order)) for name, tensor in batch._asdict().items()})
+    return Batch(
+        **{
+            name: tensor.index_select(axes.get(name, 1), torch.tensor(order))
+            for name, tensor in batch._asdict().items()
+        }
+    )
 
 
 def test_permuting_objects_permutes_the_prediction(network: nn.Module, tower_batch: Batch) -> None:
@@ -68,7 +73,9 @@ def test_every_parameter_gets_a_gradient(ablation: str, tower_batch: Batch) -> N
     network = cophynet(ablation)
     prediction = network(tower_batch)
     (position_loss(prediction, tower_batch) + stability_loss(prediction.stable_logit, tower_batch)).backward()
-    without = [name for name, parameter in network.named_parameters() if parameter.grad is None or not parameter.grad.any()]
+    without = [
+        name for name, parameter in network.named_parameters() if parameter.grad is None or not parameter.grad.any()
+    ]
     assert not without
 
 
@@ -109,10 +116,10 @@ def test_copies_copy(tower_batch: Batch) -> None:
 
 def test_cophynet_overfits_one_batch(tower_batch: Batch) -> None:
     network, batch = cophynet(), Batch(*(tensor[:8] for tensor in tower_batch))
-    optimizer = torch.optim.Adam(network.parameters(), lr=0.005)
+    optimizer = torch.optim.Adam(network.parameters(), lr=0.001)
     for _ in range(400):
         loss = position_loss(network(batch), batch)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-    assert loss < 0.2 * position_loss(CopyC()(batch), batch)
+    assert loss < 0.1 * position_loss(CopyC()(batch), batch)

@@ -18,7 +18,9 @@ def energy(trajectory: Trajectory, experiment: Experiment) -> np.ndarray:
         axis = np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)], axis=-1)
         along = (angular * axis).sum(axis=-1) ** 2
         across = (angular**2).sum(axis=-1) - along
-        about, through = {Shape.BOX: (1 / 6, 1 / 6), Shape.SPHERE: (0.1, 0.1), Shape.CYLINDER: (1 / 8, 7 / 48)}[body.shape]
+        about, through = {Shape.BOX: (1 / 6, 1 / 6), Shape.SPHERE: (0.1, 0.1), Shape.CYLINDER: (1 / 8, 7 / 48)}[
+            body.shape
+        ]
         kinetic = 0.5 * body.mass * ((linear**2).sum(axis=-1) + about * along + through * across)
         total += kinetic - body.mass * position @ np.array(experiment.scene.gravity)
     return total - total.min()

@@ -65,7 +65,9 @@ def agreement(blocktower: Blocktower, simulator: Simulator, *, towers: int, num_
 
 
 @pytest.mark.parametrize("num_levels", [3, 4])
-def test_simulation_agrees_with_the_criterion_beyond_the_margin(scenario_of, simulator: Simulator, num_levels: int) -> None:
+def test_simulation_agrees_with_the_criterion_beyond_the_margin(
+    scenario_of, simulator: Simulator, num_levels: int
+) -> None:
     blocktower = scenario_of("blocktower")
     rows = agreement(blocktower, simulator, towers=24, num_levels=num_levels, seed=1)
     assert rows[np.abs(rows[:, 0]) >= blocktower.min_margin, 1].all()
@@ -73,7 +75,9 @@ def test_simulation_agrees_with_the_criterion_beyond_the_margin(scenario_of, sim
 
 @pytest.mark.slow
 @pytest.mark.parametrize("num_levels", [3, 4])
-def test_simulation_agrees_with_the_criterion_on_a_hundred_towers(scenario_of, simulator: Simulator, num_levels: int) -> None:
+def test_simulation_agrees_with_the_criterion_on_a_hundred_towers(
+    scenario_of, simulator: Simulator, num_levels: int
+) -> None:
     blocktower = scenario_of("blocktower")
     rows = agreement(blocktower, simulator, towers=100, num_levels=num_levels, seed=2)
     assert rows[np.abs(rows[:, 0]) >= blocktower.min_margin, 1].all()

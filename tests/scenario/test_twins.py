@@ -14,7 +14,17 @@ def pairs(arrays: dict, name: str) -> tuple[np.ndarray, np.ndarray]:
 
 def test_twins_share_everything_but_the_confounders(tiny) -> None:
     _, arrays = tiny
-    for name in ("twin", "shape", "object_index", "do_operation", "do_slot", "do_offset", "background_seed", "presence", "split"):
+    for name in (
+        "twin",
+        "shape",
+        "object_index",
+        "do_operation",
+        "do_slot",
+        "do_offset",
+        "background_seed",
+        "presence",
+        "split",
+    ):
         np.testing.assert_array_equal(*pairs(arrays, name))
     first, second = pairs(arrays, "states")
     np.testing.assert_array_equal(first[:, :, 0], second[:, :, 0])  # A, C and every initial velocity

@@ -13,7 +13,9 @@ def batch() -> Batch:
     presence = torch.tensor([[True, True], [False, True]])
     target = torch.zeros(2, 2, 2, 3)
     stable = torch.tensor([[[1, 0], [1, 1]], [[0, 1], [0, 0]]], dtype=torch.bool)
-    return Batch(torch.zeros(2, 3, 2, 3), presence, torch.zeros(2, 2, 3), presence, torch.zeros(2, 2, 8), target, stable)
+    return Batch(
+        torch.zeros(2, 3, 2, 3), presence, torch.zeros(2, 2, 3), presence, torch.zeros(2, 2, 12), target, stable
+    )
 
 
 def prediction() -> Prediction:
@@ -54,16 +56,14 @@ def test_every_experiment_counts_once_whatever_its_batch() -> None:
     whole, split = position_metrics(3), position_metrics(3)
     whole.update(prediction(), batch())
     for row in (slice(0, 1), slice(1, 2)):
-        split.update(
-            Prediction(prediction().position[row]), Batch(*(tensor[row] for tensor in batch()))
-        )
+        split.update(Prediction(prediction().position[row]), Batch(*(tensor[row] for tensor in batch())))
     assert whole.compute() == split.compute()
 
 
 def test_a_perfect_prediction_has_no_error() -> None:
     metrics = position_metrics(3)
     metrics.update(Prediction(batch().target), batch())
-    assert set(metrics.compute().values()) == {torch.tensor(0.0)}
+    assert all(value == 0 for value in metrics.compute().values())
 
 
 def test_losses_ignore_empty_slots() -> None:

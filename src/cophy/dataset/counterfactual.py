@@ -6,7 +6,7 @@ from torch import Tensor
 from torch.utils.data import BatchSampler, DataLoader, Dataset, RandomSampler, SequentialSampler
 
 from cophy.dataset.splits import SPLITS, Part
-from cophy.scenario import Scenario
+from cophy.scenario import Scenario, Shape
 from cophy.types import Batch
 
 
@@ -66,11 +66,22 @@ def standardise(batch: Batch, statistics: tuple[Tensor, Tensor]) -> Batch:
 
 
 def _confounders(arrays: dict[str, np.ndarray]) -> Tensor:
-    """(experiment, slot, 8) in the order of `types.CONFOUNDERS`."""
+    """(experiment, slot, 12) in the order of `types.CONFOUNDERS`."""
     per_object = np.stack([arrays[name] for name in ("mass", "friction", "restitution")], axis=-1)
     gravity = np.broadcast_to(arrays["gravity"][:, None, :2], (*per_object.shape[:2], 2))
-    velocity = arrays["states"][:, 0, 0, :, 7:10]
-    return torch.from_numpy(np.concatenate([per_object, gravity, velocity], axis=-1).astype(np.float32))
+    initial = arrays["states"][:, 0, 0]
+    shape = arrays["shape"][..., None]
+    features = [per_object, gravity, initial[..., 7:10], shape == Shape.CYLINDER, _axis(initial[..., 3:7], shape)]
+    return torch.from_numpy(np.concatenate(features, axis=-1, dtype=np.float32))
+
+
+def _axis(quaternion_xyzw: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """(experiment, slot, 3) direction of a cylinder's axis (its sign chosen so that x ≥ 0) or of a block's own x axis."""
+    x, y, z, w = np.moveaxis(quaternion_xyzw, -1, 0)
+    along_z = np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)], axis=-1)
+    along_x = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=-1)
+    unsigned = np.where(along_z[..., :1] < 0, -along_z, along_z)
+    return np.where(shape == Shape.CYLINDER, unsigned, np.where(shape == Shape.BOX, along_x, 0.0))
 
 
 def _stable(states: np.ndarray, stride: int, stable_speed: float) -> Tensor:

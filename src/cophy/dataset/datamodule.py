@@ -23,7 +23,9 @@ class CounterfactualDataModule(L.LightningDataModule):
     ) -> None:
         super().__init__()
         if split.name not in scenario.task.splits:
-            raise CophyError(f"split={split.name} does not go with {scenario.name}: use {', '.join(scenario.task.splits)}")
+            raise CophyError(
+                f"split={split.name} does not go with {scenario.name}: use {', '.join(scenario.task.splits)}"
+            )
         self.scenario, self.split, self.data_dir = scenario, split, data_dir
         self.batch_size, self.workers = batch_size, workers
         self.train_spec = DatasetSpec(scenario, split.train.num_objects, size, seed)

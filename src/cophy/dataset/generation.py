@@ -5,6 +5,7 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,11 +18,19 @@ from pathlib import Path
 from filelock import FileLock
 from tqdm import tqdm
 
-from cophy.dataset.shard import DamagedShard, encode, to_arrays
+from cophy.dataset.shard import DamagedShardError, encode, to_arrays
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store import MANIFEST, is_finished, read_checksums, read_shard, shard_path, write_atomically, write_manifest
+from cophy.dataset.store import (
+    MANIFEST,
+    is_finished,
+    read_checksums,
+    read_shard,
+    shard_path,
+    write_atomically,
+    write_manifest,
+)
 from cophy.errors import CophyError
-from cophy.scenario import Simulator
+from cophy.scenario import Experiment, Simulator
 
 log = logging.getLogger(__name__)
 _done: "Synchronized[int]"  # experiments generated so far, shared by the workers of one run
@@ -43,6 +52,8 @@ def ensure(spec: DatasetSpec, *, data_dir: Path, workers: int) -> Path:
 
 def generate(spec: DatasetSpec, *, data_dir: Path, workers: int) -> Path:
     """Make what is missing or damaged of a dataset; several processes may ask for it at once, one works."""
+    if multiprocessing.parent_process() is not None:  # a worker imports the script that started it
+        raise CophyError("put what your script runs under `if __name__ == '__main__':`, generation starts processes")
     directory = spec.directory(data_dir)
     directory.mkdir(parents=True, exist_ok=True)
     with FileLock(directory / ".lock"), _explain_full_disk(directory, spec):
@@ -66,7 +77,7 @@ def _missing_shards(directory: Path, spec: DatasetSpec) -> list[int]:
             try:
                 read_shard(directory, shard, spec, checksums.get(path.name))
                 continue
-            except DamagedShard as error:
+            except DamagedShardError as error:
                 log.warning("%s is damaged (%s): making it again", path, error)
         missing.append(shard)
     return missing
@@ -100,7 +111,8 @@ def _generate_shards(shards: list[int], directory: Path, spec: DatasetSpec, work
 
 def _generate_shard(shard: int, directory: Path, spec: DatasetSpec) -> ShardCost:
     """Generate one shard in a worker."""
-    start, experiments = time.process_time(), []
+    start = time.process_time()
+    experiments: list[Experiment] = []
     with Simulator() as simulator:
         for first in spec.experiments_of_shard(shard)[::2]:
             experiments += spec.scenario.twin_pair(
@@ -130,7 +142,9 @@ def _exit_with_parent() -> None:
 
 @contextmanager
 def _progress_bar(spec: DatasetSpec, total: int) -> Iterator[Callable[[int], None]]:
-    with tqdm(total=total, unit="exp", desc=f"{spec.scenario.name}, {spec.num_objects} objects", smoothing=0.1) as bar:
+    seconds = 0.5 if sys.stderr.isatty() else 20.0  # between updates: a log wants fewer lines
+    title = f"{spec.scenario.name}, {spec.num_objects} objects"
+    with tqdm(total=total, unit="exp", desc=title, mininterval=seconds, smoothing=0.1) as bar:
 
         def advance_to(count: int) -> None:
             bar.update(count - bar.n)

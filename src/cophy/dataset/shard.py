@@ -13,7 +13,7 @@ from cophy.scenario import Displace, Experiment
 from cophy.scenario.assignment import seen_configurations
 
 
-class DamagedShard(Exception):
+class DamagedShardError(Exception):
     """The bytes are not those of a whole shard; the message says what is wrong with them."""
 
 
@@ -98,22 +98,22 @@ def encode(arrays: dict[str, np.ndarray]) -> bytes:
 def decode(content: bytes, shard: int, spec: DatasetSpec) -> dict[str, np.ndarray]:
     """The arrays of a shard. Only plain arrays of the expected shape and type are read; nothing outside the bytes is.
 
-    Raises DamagedShard when something is missing, cut off or not what the spec says.
+    Raises DamagedShardError when something is missing, cut off or not what the spec says.
     """
     count = len(spec.experiments_of_shard(shard))
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
             return {name: _read(file, name, (count, *shape), dtype) for name, (shape, dtype) in layout(spec).items()}
     except (OSError, KeyError, RuntimeError) as error:
-        raise DamagedShard(" ".join(str(error).split())) from error
+        raise DamagedShardError(" ".join(str(error).split())) from error
 
 
 def _read(file: h5py.File, name: str, shape: tuple[int, ...], dtype: str) -> np.ndarray:
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-        raise DamagedShard(f"'{name}' is missing or points elsewhere")
+        raise DamagedShardError(f"'{name}' is missing or points elsewhere")
     array = file[name]
     if not isinstance(array, h5py.Dataset) or array.is_virtual or array.external:
-        raise DamagedShard(f"'{name}' is not an array stored in this file")
+        raise DamagedShardError(f"'{name}' is not an array stored in this file")
     if array.shape != shape or array.dtype != np.dtype(dtype):
-        raise DamagedShard(f"'{name}' is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}")
+        raise DamagedShardError(f"'{name}' is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}")
     return np.asarray(array[()])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cophy.dataset.shard import DamagedShard, decode
+from cophy.dataset.shard import DamagedShardError, decode
 from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
 
@@ -62,13 +62,13 @@ def read_checksums(directory: Path, spec: DatasetSpec) -> dict[str, str] | None:
 
 
 def read_shard(directory: Path, shard: int, spec: DatasetSpec, checksum: str | None) -> dict[str, np.ndarray]:
-    """The arrays of one shard; raises DamagedShard unless it is whole and has the checksum (if one is known)."""
+    """The arrays of one shard; raises DamagedShardError unless it is whole and has the checksum (if one is known)."""
     try:
         content = shard_path(directory, shard).read_bytes()
     except OSError as error:
-        raise DamagedShard(error.strerror or str(error)) from error
+        raise DamagedShardError(error.strerror or str(error)) from error
     if checksum is not None and hashlib.sha256(content).hexdigest() != checksum:
-        raise DamagedShard(f"its checksum is not the one in {MANIFEST}")
+        raise DamagedShardError(f"its checksum is not the one in {MANIFEST}")
     return decode(content, shard, spec)
 
 
@@ -89,7 +89,7 @@ def load(directory: Path, spec: DatasetSpec) -> dict[str, np.ndarray]:
         path = shard_path(directory, shard)
         try:
             shards.append(read_shard(directory, shard, spec, checksums[path.name]))
-        except DamagedShard as error:
+        except DamagedShardError as error:
             raise CophyError(f"{path} is damaged ({error}): run `{spec.command}` to make it again") from error
     return {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
 

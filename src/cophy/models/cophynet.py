@@ -36,7 +36,7 @@ class CoPhyNet(nn.Module):
     ) -> None:
         super().__init__()
         self.source, self.gating = ConfounderSource(confounders), Gating(gating)
-        self.temperature = temperature
+        self.temperature, self.hidden_dim = temperature, hidden_dim
         layers = {"edge_layers": edge_layers, "node_layers": node_layers}
         if self.source is ConfounderSource.estimated:
             self.estimator = ConfounderEstimator(hidden_dim=hidden_dim, gru_layers=gru_layers, **layers)
@@ -65,7 +65,7 @@ class CoPhyNet(nn.Module):
         """Positions (B, horizon, K, 3) and stability logits (B, horizon or 1, K), each step fed by the one before."""
         graph = fully_connected(batch.presence)
         position = batch.initial
-        hidden = [position.new_zeros(*position.shape[:2], cell.hidden_size) for cell in self.gru]
+        hidden = [position.new_zeros(*position.shape[:2], self.hidden_dim) for _ in self.gru]
         positions, logits = [], []
         for step in range(horizon):
             nodes = torch.cat([position, confounders], dim=-1)

@@ -46,7 +46,9 @@ class GraphConvolution(nn.Module):
         super().__init__()
         self.receiver = nn.Linear(input_dim, hidden_dim)
         self.sender = nn.Linear(input_dim, hidden_dim, bias=False)
-        self.edge = nn.Sequential(nn.ReLU(), *chain(*((nn.Linear(hidden_dim, hidden_dim), nn.ReLU()) for _ in range(edge_layers - 2))))
+        self.edge = nn.Sequential(
+            nn.ReLU(), *chain(*((nn.Linear(hidden_dim, hidden_dim), nn.ReLU()) for _ in range(edge_layers - 2)))
+        )
         self.message = nn.Linear(hidden_dim, hidden_dim)
         self.node = mlp(input_dim + 2 * hidden_dim, hidden_dim, node_layers)
 

@@ -17,12 +17,14 @@ def pack(batch: Batch) -> tuple[Batch, Tensor]:
 
 def unpack(prediction: Prediction, slots: Tensor, num_slots: int) -> Prediction:
     """The prediction with every object back in its slot; empty slots are zero."""
-    dims = {"position": 2, "stable_logit": 2, "confounder_estimate": 1}
+
+    def scatter(tensor: Tensor | None, dim: int) -> Tensor | None:
+        return None if tensor is None else _scatter(tensor, slots, num_slots, dim=dim)
+
     return Prediction(
-        **{
-            name: None if tensor is None else _scatter(tensor, slots, num_slots, dim=dims[name])
-            for name, tensor in prediction._asdict().items()
-        }
+        position=_scatter(prediction.position, slots, num_slots, dim=2),
+        stable_logit=scatter(prediction.stable_logit, 2),
+        confounder_estimate=scatter(prediction.confounder_estimate, 1),
     )
 
 

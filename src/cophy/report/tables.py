@@ -48,7 +48,16 @@ def fill(table: PaperTable, runs: pd.DataFrame) -> FilledTable:
             used.append(found)
             ours = found[table.metric] if len(found) else pd.Series(dtype=float)
             cells.append({"train → test": label, "column": column, "cell": f"{_show(ours)} / {_paper(printed)}"})
-            values.append({"split": split, "column": column, "ours": ours.mean(), "sd": ours.std(), "seeds": len(ours), "paper": printed})
+            values.append(
+                {
+                    "split": split,
+                    "column": column,
+                    "ours": ours.mean(),
+                    "sd": ours.std(),
+                    "seeds": len(ours),
+                    "paper": printed,
+                }
+            )
     wide = pd.DataFrame(cells).pivot(index="train → test", columns="column", values="cell")
     wide = wide.loc[list(table.rows.values()), list(table.columns)]
     wide.columns.name = None
@@ -79,8 +88,13 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
     if used.empty:
         return " ".join([*notes, "Nothing was run yet."])
     sizes = ", ".join(sorted(used["size"].unique()))
-    counts = [f"{used[name].min()}–{used[name].max()}" if used[name].nunique() > 1 else f"{used[name].iloc[0]}" for name in ("num_train", "num_test")]
-    notes.append(f"Size {sizes}: {counts[0]} training and {counts[1]} test experiments; seeds {sorted(used['seed'].unique().tolist())}.")
+    counts = [
+        f"{used[name].min()}–{used[name].max()}" if used[name].nunique() > 1 else f"{used[name].iloc[0]}"
+        for name in ("num_train", "num_test")
+    ]
+    notes.append(
+        f"Size {sizes}: {counts[0]} training and {counts[1]} test experiments; seeds {sorted(used['seed'].unique().tolist())}."
+    )
     if any("gt_confounders" in choice.values() for choice in table.columns.values()):
         notes.append("True confounders include the initial velocities.")
     return " ".join(notes)

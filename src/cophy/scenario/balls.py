@@ -38,7 +38,7 @@ class Balls(SimulatedSearch):
         centres = rng.uniform(-reach, reach, (len(slots), 2))
         while not self._apart(centres):
             centres = rng.uniform(-reach, reach, (len(slots), 2))
-        velocities = rng.uniform(*self.speed, len(slots))[:, None] * _directions(len(slots), rng)
+        velocities = rng.uniform(self.speed[0], self.speed[1], len(slots))[:, None] * _directions(len(slots), rng)
         balls = tuple(
             Body(
                 Shape.SPHERE,
@@ -61,7 +61,7 @@ class Balls(SimulatedSearch):
         reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2
         while True:
             index = int(rng.integers(len(balls)))
-            x, y = rng.uniform(*self.displacement) * _directions(1, rng)[0]
+            x, y = rng.uniform(self.displacement[0], self.displacement[1]) * _directions(1, rng)[0]
             moved = centres.copy()
             moved[index] += (x, y)
             if self._apart(moved) and np.abs(moved).max() <= reach:

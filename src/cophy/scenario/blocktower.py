@@ -6,7 +6,7 @@ prescribed configurations fill their cells, and only then simulates the four seq
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -138,7 +138,9 @@ class Blocktower(Scenario):
         source = np.repeat(np.arange(num_drawn), VARIANTS_PER_TOWER)
         if kind == "remove_top":
             return np.full(len(source), num_levels - 1), self._level_offsets((len(source),), rng), source
-        distance = rng.uniform(*self.displacement, len(source)) * rng.choice([-1.0, 1.0], len(source))
+        distance = rng.uniform(self.displacement[0], self.displacement[1], len(source)) * rng.choice(
+            [-1.0, 1.0], len(source)
+        )
         axis = np.array([0.0, 1.0] if kind == "displace_y" else [1.0, 0.0])
         return rng.integers(num_levels, size=len(source)), distance[:, None] * axis, source
 
@@ -151,7 +153,7 @@ class Blocktower(Scenario):
 
     def _fills(self, xy: np.ndarray, yaw: np.ndarray, twins: Configurations, *, first_stands: bool) -> np.ndarray:
         margins = self._margins(xy, yaw, twins) * np.where([first_stands, not first_stands], 1.0, -1.0)
-        return (margins >= self.min_margin).all(axis=1)
+        return np.asarray((margins >= self.min_margin).all(axis=1))
 
     def _agreement(self, observed: np.ndarray, counterfactual: np.ndarray, cell: tuple[bool, bool]) -> np.ndarray:
         """Share of the configurations under which A stands that share the CD of the twin whose A stands."""

@@ -10,7 +10,9 @@ from cophy.scenario.search import SimulatedSearch
 from cophy.scenario.surroundings import floor
 
 # (moving, static): shapes of the two objects, one cell each
-CELLS = tuple((moving, static) for moving in (Shape.SPHERE, Shape.CYLINDER) for static in (Shape.SPHERE, Shape.CYLINDER))
+CELLS = tuple(
+    (moving, static) for moving in (Shape.SPHERE, Shape.CYLINDER) for static in (Shape.SPHERE, Shape.CYLINDER)
+)
 
 
 @dataclass
@@ -18,7 +20,9 @@ class Collision(SimulatedSearch):
     """Fields of conf/scenario/collision.yaml beyond those of every scenario."""
 
     object_size: float  # diameter of spheres and cylinders, and height of cylinders
+    static_position: list[float]  # x, y of the static object in A
     distance: list[float]  # between the two centres in A: smallest and largest
+    max_heading: float  # of the moving object, from the x axis to either side, rad
     speed: list[float]  # of the moving object at t = 0: smallest and largest
     max_aim_offset: float  # by how far the moving object is aimed past the static one's centre
     displacement: list[float]  # along x or y: smallest and largest
@@ -38,15 +42,16 @@ class Collision(SimulatedSearch):
 
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
         moving, static = CELLS[cell]
-        heading = rng.uniform(0.0, 2 * np.pi)
+        heading = rng.uniform(-self.max_heading, self.max_heading)
+        target = np.array(self.static_position)
         forward = np.array([np.cos(heading), np.sin(heading)])
         left = np.array([-forward[1], forward[0]])
-        start = -rng.uniform(*self.distance) * forward
-        aim = rng.uniform(-self.max_aim_offset, self.max_aim_offset) * left
+        start = target - rng.uniform(self.distance[0], self.distance[1]) * forward
+        aim = target + rng.uniform(-self.max_aim_offset, self.max_aim_offset) * left
         direction = (aim - start) / np.linalg.norm(aim - start)
         bodies = (
-            self._body(moving, slots[0], start, rng.uniform(*self.speed) * direction, rng),
-            self._body(static, slots[1], np.zeros(2), np.zeros(2), rng),
+            self._body(moving, slots[0], start, rng.uniform(self.speed[0], self.speed[1]) * direction, rng),
+            self._body(static, slots[1], target, np.zeros(2), rng),
         )
         return Scene((floor(), *bodies), gravity=(0.0, 0.0, self.gravity_z))
 
@@ -56,7 +61,7 @@ class Collision(SimulatedSearch):
         assert body.slot is not None
         while True:
             offset = np.zeros(2)
-            offset[rng.integers(2)] = rng.uniform(*self.displacement) * rng.choice([-1.0, 1.0])
+            offset[rng.integers(2)] = rng.uniform(self.displacement[0], self.displacement[1]) * rng.choice([-1.0, 1.0])
             between = np.array(body.position[:2]) + offset - other.position[:2]
             # two cylinders lying end to end reach furthest: half a space diagonal each
             if np.linalg.norm(between) >= np.sqrt(2) * self.object_size + self.min_gap:

@@ -36,7 +36,11 @@ class ConfounderGrid:
     def __post_init__(self) -> None:
         if not all(self._axes(1)):
             raise ValueError("a confounder grid needs at least one value each, or the confounder has no value")
-        if min(self.mass) <= 0 or min(self.friction) < 0 or not 0 <= min(self.restitution) <= max(self.restitution) <= 1:
+        if (
+            min(self.mass) <= 0
+            or min(self.friction) < 0
+            or not 0 <= min(self.restitution) <= max(self.restitution) <= 1
+        ):
             raise ValueError("confounders: mass must be > 0, friction >= 0 and restitution in [0, 1]")
 
     def _axes(self, num_objects: int) -> list[list[float]]:

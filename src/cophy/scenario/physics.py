@@ -13,7 +13,6 @@ import numpy as np
 from cophy.errors import CophyError
 from cophy.scenario.scene import Body, Scene, Shape, Trajectory
 
-
 BULLET_PENETRATION_THRESHOLD = -0.04  # m; Bullet's defaults
 BULLET_CONTACT_THRESHOLD = 1e18
 
@@ -74,18 +73,22 @@ class Simulator:
     def __enter__(self) -> "Simulator":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._bullet.disconnect(self._client)
 
     def simulate(self, scene: Scene, *, solver: Solver, clock: Clock, num_slots: int) -> Trajectory:
         """Simulate a scene from rest at t = 0; the same scene gives the same bytes whatever was simulated before."""
         if solver.step_rate_hz % clock.state_rate_hz:
-            raise ValueError(f"step_rate_hz={solver.step_rate_hz} is not a multiple of state_rate_hz={clock.state_rate_hz}")
+            raise ValueError(
+                f"step_rate_hz={solver.step_rate_hz} is not a multiple of state_rate_hz={clock.state_rate_hz}"
+            )
         bullet, client = self._bullet, self._client
         self._reset(scene, solver)
         self.num_simulations += 1
-        ids = {body.slot: self._add(body, solver) for body in scene.bodies}
-        ids.pop(None, None)
+        added = [(body.slot, self._add(body, solver)) for body in scene.bodies]
+        ids = {slot: body_id for slot, body_id in added if slot is not None}
         states = np.zeros((clock.num_states, num_slots, 13))
         steps = range(solver.step_rate_hz // clock.state_rate_hz)
         for time in range(clock.num_states):

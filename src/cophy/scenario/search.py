@@ -55,11 +55,11 @@ class SimulatedSearch(Scenario):
                     if counterfactual is not None:
                         strata = (assignment.cell, assignment.cell)
                         return TwinPair(scene, do_operation, second, observed, counterfactual, strata)
-        raise CophyError(f"no {self.name} scene tells its twins apart: lower scenario.min_difference or widen scenario.extent")
+        raise CophyError(
+            f"no {self.name} scene tells its twins apart: lower scenario.min_difference or widen scenario.extent"
+        )
 
-    def _different_outcomes(
-        self, scenes: list[Scene], simulator: Simulator
-    ) -> tuple[Trajectory, Trajectory] | None:
+    def _different_outcomes(self, scenes: list[Scene], simulator: Simulator) -> tuple[Trajectory, Trajectory] | None:
         """Both twins' trajectories, if they differ significantly and stay in sight."""
         first = self.simulate(simulator, scenes[0])
         if not self._in_sight(first):

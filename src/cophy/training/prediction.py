@@ -4,8 +4,9 @@ from typing import Any
 
 import lightning as L
 import torch
-from lightning.pytorch.utilities.types import STEP_OUTPUT
+from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
 from torch import Tensor, nn
+from torchmetrics import MetricCollection
 
 from cophy.training.losses import position_loss, stability_loss
 from cophy.training.metrics import position_metrics, stability_metrics
@@ -47,8 +48,11 @@ class PredictionModule(L.LightningModule):
     def test_step(self, batch: Batch) -> None:
         self._measure("test", self(batch), batch)
 
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        return torch.optim.Adam(self.network.parameters(), lr=self.training_settings.learning_rate)
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Adam, its learning rate falling to zero along a cosine over the epochs of the run."""
+        optimizer = torch.optim.Adam(self.network.parameters(), lr=self.training_settings.learning_rate)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=self.trainer.max_epochs or 1)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         checkpoint["config"] = self.config
@@ -64,9 +68,12 @@ class PredictionModule(L.LightningModule):
         return loss
 
     def _measure(self, split: str, prediction: Prediction, batch: Batch) -> None:
-        groups = [self.position_metrics] if prediction.stable_logit is None else [self.position_metrics, self.stability_metrics]
-        detached = Prediction(*(None if tensor is None else tensor.detach() for tensor in prediction))
+        groups = [self.position_metrics]
+        if prediction.stable_logit is not None:
+            groups.append(self.stability_metrics)
         for group in groups:
             metrics = group[f"in_{split}"]
-            metrics.update(detached, batch)
+            assert isinstance(metrics, MetricCollection)
+            with torch.no_grad():
+                metrics.update(prediction, batch)
             self.log_dict(metrics, on_step=False, on_epoch=True, prog_bar=split == "val")

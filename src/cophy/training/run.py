@@ -59,7 +59,9 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
         workers=settings.workers,
     )
     network = build_network(resolved["model"])
-    module = PredictionModule(network, settings.training, metric_dims=settings.scenario.task.metric_dims, config=resolved)
+    module = PredictionModule(
+        network, settings.training, metric_dims=settings.scenario.task.metric_dims, config=resolved
+    )
     trainer = _trainer(settings, row.directory)
     assert isinstance(trainer.logger, TensorBoardLogger)
     trainer.logger.log_hyperparams(_flatten(resolved), {"test/mse": float("nan")})

@@ -1,0 +1,112 @@
+"""Is a dataset what it claims to be? Each check looks at the stored arrays alone."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.splits import split_of_experiments
+
+BALANCE = 0.05  # paper Sec. 3: 50 ± 5 % of the counterfactual outcomes are stable
+SHARED_BY_TWINS = (
+    "twin",
+    "split",
+    "shape",
+    "object_index",
+    "presence",
+    "do_operation",
+    "do_slot",
+    "do_offset",
+    "background_seed",
+)
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of an audit: what was looked at, what was found, and whether that is sound."""
+
+    name: str
+    found: str
+    passed: bool
+
+
+def audit(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    """All checks on a loaded dataset (loading it has already verified every checksum)."""
+    yield _states(arrays)
+    yield from _twins(arrays, spec)
+    yield from _shares(arrays, spec)
+    if spec.scenario.name == "blocktower":
+        yield from _towers(arrays, spec)
+    simulations = arrays["pair_simulations"][::2].sum() / len(arrays["twin"])
+    yield Check("simulations per experiment", f"{simulations:.2f}", True)
+
+
+def _states(arrays: Arrays) -> Check:
+    finite = bool(np.isfinite(arrays["states"]).all())
+    absent = ~arrays["presence"]
+    empty = not arrays["states"].swapaxes(2, 3)[absent].any()
+    return Check("states are finite, empty slots zero", "yes" if finite and empty else "no", finite and empty)
+
+
+def _twins(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    differing = [name for name in SHARED_BY_TWINS if (arrays[name][::2] != arrays[name][1::2]).any()]
+    first, second = arrays["states"][::2], arrays["states"][1::2]
+    if (first[:, :, 0] != second[:, :, 0]).any():
+        differing.append("states at t = 0")
+    yield Check("twins share all but confounders", ", ".join(differing) or "yes", not differing)
+    distance = np.linalg.norm(first[..., :3] - second[..., :3], axis=-1).mean(axis=2)
+    smallest = np.where(arrays["presence"][::2], distance, 0.0).max(axis=-1).min()
+    needed = spec.scenario.min_difference
+    yield Check(
+        "smallest difference of twins, AB and CD", f"{smallest:.3f} m ≥ {needed} m", bool(smallest >= needed - 1e-4)
+    )
+    in_place = np.array_equal(arrays["split"], split_of_experiments(spec.num_experiments, spec.seed))
+    shares = " : ".join(f"{share:.2f}" for share in np.bincount(arrays["split"], minlength=3) / len(arrays["split"]))
+    yield Check("train : val : test, by twin pair", shares, in_place)
+
+
+def _shares(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    """Frequencies of strata, do-operations and confounder values: equal, up to chance and BALANCE."""
+    present = arrays["object_index"] >= 0
+    grid = spec.scenario.confounders
+    yield _level("strata", arrays["stratum"], spec.scenario.strata(), range(len(spec.scenario.strata())))
+    yield _level(
+        "do-operations", arrays["do_operation"], spec.scenario.do_operations, range(len(spec.scenario.do_operations))
+    )
+    for name in ("mass", "friction", "restitution"):
+        yield _level(name, arrays[name][present], getattr(grid, name), getattr(grid, name))
+    for axis, name in enumerate(("gravity_x", "gravity_y")):
+        yield _level(name, arrays["gravity"][:, axis], getattr(grid, name), getattr(grid, name))
+
+
+def _level(name: str, values: np.ndarray, labels: object, codes: object) -> Check:
+    share = {str(label): float(np.isclose(values, code).mean()) for label, code in zip(labels, codes, strict=True)}  # type: ignore[call-overload]
+    passed = all(abs(value - 1 / len(share)) <= BALANCE for value in share.values())
+    return Check(f"share of {name}", "  ".join(f"{label} {value:.1%}" for label, value in share.items()), passed)
+
+
+def _towers(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    """Labels against the trajectories, and stability of CD per value of each confounder (paper Fig. 3)."""
+    positions = arrays["states"][..., :3]
+    moved = np.linalg.norm(positions - positions[:, :, :1], axis=-1).max(axis=(2, 3))
+    stands = moved < spec.scenario.fallen_distance  # type: ignore[attr-defined]
+    words = np.where(stands, "stands", "falls")
+    right = (
+        np.char.add(np.char.add(words[:, 0], "_"), words[:, 1]) == np.array(spec.scenario.strata())[arrays["stratum"]]
+    )
+    yield Check("labels agree with the trajectories", f"{right.mean():.1%}", bool(right.all()))
+    for axis, name in enumerate(("gravity_x", "gravity_y")):
+        yield _stability(name, arrays["gravity"][:, axis], stands[:, 1])
+    for level in range(spec.num_objects):
+        slot = arrays["object_index"] == level
+        for name in ("mass", "friction"):
+            yield _stability(f"{name} of block {level}", arrays[name][slot], stands[:, 1])
+
+
+def _stability(name: str, values: np.ndarray, stands: np.ndarray) -> Check:
+    share = {float(value): float(stands[values == value].mean()) for value in np.unique(values)}
+    passed = all(abs(value - 0.5) <= BALANCE for value in share.values())
+    return Check(f"CD stands, per {name}", "  ".join(f"{value:g}: {s:.1%}" for value, s in share.items()), passed)

@@ -1,0 +1,124 @@
+"""Every configuration composes, ablations change what they declare, mistakes are answered in one line."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from tests.conftest import ROOT, SCENARIOS, composed, settings
+
+ABLATIONS = {
+    "full": set(),
+    "static_gating": {"model.gating"},
+    "feedforward": {"model.confounders"},
+    "gt_confounders": {"model.confounders"},
+}
+
+
+def leaves(tree: dict, prefix: str = "") -> dict[str, object]:
+    found: dict[str, object] = {}
+    for key, value in tree.items():
+        found |= leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found
+
+
+def flat(*overrides: str) -> dict[str, object]:
+    return leaves(OmegaConf.to_container(composed("train", *overrides)))
+
+
+def test_every_ablation_file_is_listed_here() -> None:
+    assert {path.stem for path in (ROOT / "conf" / "ablation").iterdir()} == set(ABLATIONS)
+
+
+@pytest.mark.parametrize("ablation", ABLATIONS)
+def test_an_ablation_changes_exactly_its_own_keys(ablation: str) -> None:
+    full, changed = flat("ablation=full"), flat(f"ablation={ablation}")
+    assert {key for key in full | changed if full.get(key) != changed.get(key)} == ABLATIONS[ablation]
+
+
+@pytest.mark.parametrize("ablation", ABLATIONS)
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_ablation_composes_for_every_scenario(name: str, ablation: str) -> None:
+    assert settings("train", f"scenario={name}", f"ablation={ablation}").scenario.name == name
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenarios_default_split_is_its_first(name: str) -> None:
+    chosen = settings("train", f"scenario={name}")
+    assert chosen.split.name == chosen.scenario.task.splits[0]
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_split_of_a_scenario_exists_under_its_own_name(name: str) -> None:
+    scenario = settings("train", f"scenario={name}").scenario
+    for split in scenario.task.splits:
+        chosen = settings("train", f"scenario={name}", f"split={split}").split
+        assert chosen.name == split
+        assert {chosen.train.num_objects, chosen.test.num_objects} <= set(scenario.num_objects)
+
+
+def test_every_split_belongs_to_a_scenario() -> None:
+    known = {split for name in SCENARIOS for split in settings("train", f"scenario={name}").scenario.task.splits}
+    assert {path.stem for path in (ROOT / "conf" / "split").iterdir()} == known
+
+
+def test_every_number_in_conf_has_its_source() -> None:
+    for path in [*(ROOT / "conf" / "scenario").iterdir(), *(ROOT / "conf" / "model").iterdir()]:
+        for line in path.read_text().splitlines():
+            if any(character.isdigit() for character in line.split("#")[0]) and ":" in line.split("#")[0]:
+                assert "#" in line or '"#' in line, f"{path.name}: {line}"
+
+
+MISTAKES = {
+    "scenario=ballz": "scenario=ballz does not exist (did you mean balls?); there are balls, blocktower, collision",
+    "model.hidden_dim=abc": "model.hidden_dim: Value 'abc' of type 'str' could not be converted to Integer",
+    "model.hiden_dim=32": "model.hiden_dim: Key 'hiden_dim' not in 'CoPhyNetConfig' (did you mean hidden_dim?)",
+    "+model.hiden_dim=32": "did you mean hidden_dim?",
+    "model.gating=never": "model.gating",
+    "trainer.max_epoch=3": "did you mean max_epochs?",
+    "model.hidden_dim=0": "model: hidden_dim",
+    "training.learning_rate=-1": "training: batch_size and learning_rate must be positive",
+    "positions=guessed": "positions=guessed is not among ground_truth",
+    "scenario=collision split=3to4": "split=3to4 does not go with collision: use all, sphere_to_cylinder, cylinder_to_sphere",
+    "model=copy_c ablation=static_gating": "model.gating: Key 'gating' not in 'CopyCConfig'",
+    "model._target_=os.system": "not a torch.nn.Module",
+    "ckpt=nowhere.ckpt": "ckpt=nowhere.ckpt is no file",
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_answered_in_one_line(mistake: str, tmp_path: Path, tiny_data: Path) -> None:
+    command = [
+        sys.executable,
+        str(ROOT / "src" / "train.py"),
+        "size=tiny",
+        f"data_dir={tiny_data}",
+        f"hydra.run.dir={tmp_path}",
+    ]
+    result = subprocess.run([*command, *mistake.split()], capture_output=True, text=True, timeout=120, check=False)
+    assert result.returncode == 1
+    assert MISTAKES[mistake] in result.stderr
+    assert "Traceback" not in result.stderr
+    assert len(result.stderr.strip().splitlines()[-1]) < 300
+
+
+def test_a_misspelt_ablation_stops_before_the_first_job(tmp_path: Path) -> None:
+    """A typo inside a row must not run as the baseline."""
+    rows = tmp_path / "ablation"
+    rows.mkdir()
+    (rows / "typo.yaml").write_text("# @package _global_\nmodel: {gatting: static}\n")
+    command = [
+        sys.executable,
+        str(ROOT / "src" / "train.py"),
+        "-m",
+        f"hydra.searchpath=[file://{tmp_path}]",
+        "ablation=full,typo",
+    ]
+    result = subprocess.run(
+        [*command, f"hydra.sweep.dir={tmp_path}/out"], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert result.returncode == 1
+    assert "gatting" in result.stderr
+    assert not list(tmp_path.rglob("metrics.json"))

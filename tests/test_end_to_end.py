@@ -1,0 +1,117 @@
+"""The commands of the README on tiny data."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from tests.conftest import ROOT, SCENARIOS
+
+FIELDS = {
+    "scenario", "split", "model", "ablation", "positions", "seed", "size",
+    "dataset_ids", "num_train", "num_test", "wall_seconds", "metrics",
+}  # fmt: skip
+
+
+def run(script: str, *arguments: object, code: int = 0) -> str:
+    """Run an entry point; the Trainer shows no bars."""
+    command = [sys.executable, str(ROOT / "src" / f"{script}.py"), *map(str, arguments)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert result.returncode == code, result.stderr[-3000:]
+    return result.stdout + result.stderr
+
+
+def train(*arguments: object, data: Path, **kwargs: int) -> str:
+    return run("train", "size=tiny", f"data_dir={data}", "trainer.max_epochs=1", *arguments, **kwargs)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: Path) -> None:
+    train(f"scenario={name}", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    content = json.loads((tmp_path / "metrics.json").read_text())
+    assert set(content) == FIELDS
+    assert content["scenario"] == name
+    assert content["num_train"] == 28
+    assert content["num_test"] == 4
+    assert set(content["metrics"]) >= {"mse", "final_position_error", "stability_accuracy", "stability_base_rate"}
+    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"best.ckpt", "last.ckpt"}
+    assert (tmp_path / ".hydra" / "config.yaml").exists()
+    curves = EventAccumulator(str(tmp_path / "tensorboard"))
+    curves.Reload()
+    assert {"train/loss", "val/mse", "train/mse", "val/stability_accuracy", "lr-Adam"} <= set(curves.Tags()["scalars"])
+
+
+def test_the_same_seed_gives_the_same_numbers_and_another_does_not(tiny_data: Path, tmp_path: Path) -> None:
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(f"seed={seed}", f"hydra.run.dir={tmp_path / name}", data=tiny_data)
+    metrics = {name: json.loads((tmp_path / name / "metrics.json").read_text())["metrics"] for name in "abc"}
+    assert metrics["a"] == metrics["b"]
+    assert metrics["a"] != metrics["c"]
+
+
+def test_resuming_equals_training_without_a_break(tiny_data: Path, tmp_path: Path) -> None:
+    train("trainer.max_epochs=3", f"hydra.run.dir={tmp_path / 'whole'}", data=tiny_data)
+    train("trainer.max_epochs=1", f"hydra.run.dir={tmp_path / 'part'}", data=tiny_data)
+    last = tmp_path / "part" / "checkpoints" / "last.ckpt"
+    train("trainer.max_epochs=3", f"ckpt={last}", f"hydra.run.dir={tmp_path / 'part'}", data=tiny_data)
+    whole, part = (json.loads((tmp_path / name / "metrics.json").read_text())["metrics"] for name in ("whole", "part"))
+    assert whole == pytest.approx(part, rel=0.2)  # the order of batches differs after the break
+
+
+def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Path, tmp_path: Path) -> None:
+    sweep = ("-m", f"hydra.sweep.dir={tmp_path}", "scenario=blocktower")
+    train(*sweep, "ablation=glob(*)", data=tiny_data)
+    train(*sweep, "model=copy_c,copy_b", data=tiny_data)
+    train(*sweep, "model.hidden_dim=8", "seed=7", data=tiny_data)
+    printed = run("report", f"outputs={tmp_path}")
+    assert "model.hidden_dim=8" in printed  # a run of its own fills no table
+    markdown = (tmp_path / "report" / "tables.md").read_text()
+    assert "— / 0.318" in markdown  # IN was not run
+    row = next(line for line in markdown.splitlines() if line.startswith("| 3→3 "))
+    assert row.count("—") == 3
+    assert "Size tiny: 28 training and 4 test experiments; seeds [0]." in markdown
+    assert (tmp_path / "report" / "table2.csv").read_text().startswith("split,column,ours,sd,seeds,paper")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "split"),
+    [
+        ("blocktower", "3to4"),
+        ("blocktower", "4to4_unseen"),
+        ("balls", "4to2"),
+        ("balls", "4to6"),
+        ("collision", "sphere_to_cylinder"),
+    ],
+)
+def test_transfers_run(name: str, split: str, tiny_data: Path, tmp_path: Path) -> None:
+    train(f"scenario={name}", f"split={split}", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    assert json.loads((tmp_path / "metrics.json").read_text())["split"] == split
+
+
+def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_path: Path) -> None:
+    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
+    shard = next(tmp_path.rglob("shard-00001.h5"))
+    shard.write_bytes(shard.read_bytes()[:1000])
+    printed = train("scenario=collision", f"hydra.run.dir={tmp_path / 'run'}", data=tmp_path, code=1)
+    assert "shard-00001.h5 is damaged" in printed
+    assert "run `python src/generate.py scenario=collision" in printed
+    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
+    run("audit", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
+
+
+def test_audit_reports_a_swapped_confounder(tmp_path: Path) -> None:
+    """Consistent checksums do not save a dataset whose twins do not belong together."""
+    import h5py
+
+    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
+    shard = next(tmp_path.rglob("shard-00000.h5"))
+    with h5py.File(shard, "r+") as file:
+        file["split"][0] = 2 - file["split"][0]
+    manifest = shard.with_name("manifest.json")
+    manifest.unlink()
+    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")  # vouches for what it finds
+    assert "FAILS" in run("audit", "scenario=collision", "size=tiny", f"data_dir={tmp_path}", code=1)
