@@ -21,9 +21,7 @@ def run(main: Callable[[], Any]) -> None:
     except (HydraException, OmegaConfBaseException, CophyError) as error:
         sys.exit(f"{sys.argv[0]}: {explain(error)}")
     except KeyboardInterrupt:
-        sys.exit(
-            "interrupted: the same command continues generation; training goes on with ckpt=<run>/checkpoints/last.ckpt"
-        )
+        sys.exit(f"{sys.argv[0]}: interrupted; the same command continues, finished shards are kept")
 
 
 def to_config(config: Any) -> Any:

@@ -30,8 +30,8 @@ class DataConfig:
     seed: int = MISSING
 
     def __post_init__(self) -> None:
-        if self.workers < 1:
-            raise ValueError(f"workers={self.workers} must be at least 1")
+        if self.workers < 1 or self.seed < 0:
+            raise ValueError(f"workers={self.workers} must be at least 1, and seed={self.seed} not negative")
 
 
 @dataclass
@@ -79,6 +79,8 @@ class TrainConfig(DataConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.threads < 1 or self.data_seed < 0:
+            raise ValueError(f"threads={self.threads} must be at least 1, and data_seed={self.data_seed} not negative")
         if self.positions not in POSITIONS:
             raise ValueError(f"positions={self.positions} is not among {', '.join(POSITIONS)}")
 

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.sharedctypes import Synchronized
@@ -98,6 +99,10 @@ def _generate_shards(shards: list[int], directory: Path, spec: DatasetSpec, work
                 finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
                 costs += [future.result() for future in finished]
                 advance_to(done.value)
+        except BrokenProcessPool as error:
+            raise CophyError(
+                "a worker process was killed (out of memory?): finished shards are kept, run again with fewer workers="
+            ) from error
         except BaseException:
             for worker in multiprocessing.active_children():
                 worker.terminate()

@@ -18,7 +18,7 @@ class Size:
 
     name: str
     experiments_per_shard: int
-    num_experiments: dict[str, dict[int, int]]
+    num_experiments: dict[str, dict[str, int]]
 
     def __post_init__(self) -> None:
         counts = [count for per_scenario in self.num_experiments.values() for count in per_scenario.values()]
@@ -36,8 +36,8 @@ class DatasetSpec:
     seed: int
 
     def __post_init__(self) -> None:
-        if self.num_objects not in self.size.num_experiments.get(self.scenario.name, {}):
-            known = sorted(self.size.num_experiments.get(self.scenario.name, {}))
+        if str(self.num_objects) not in self.size.num_experiments.get(self.scenario.name, {}):
+            known = ", ".join(self.size.num_experiments.get(self.scenario.name, {}))
             raise CophyError(
                 f"size {self.size.name} has no count for {self.scenario.name} with {self.num_objects} objects, "
                 f"only for {known}: see num_objects= and conf/size/{self.size.name}.yaml"
@@ -46,7 +46,7 @@ class DatasetSpec:
     @property
     def num_experiments(self) -> int:
         """Experiments in the dataset, an even number."""
-        return self.size.num_experiments[self.scenario.name][self.num_objects]
+        return self.size.num_experiments[self.scenario.name][str(self.num_objects)]
 
     @property
     def num_shards(self) -> int:

@@ -1,11 +1,13 @@
 """Stage 2: train and test a predictor of D."""
 
+import math
 from typing import Any
 
 import lightning as L
 import torch
 from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
 from torch import Tensor, nn
+from torch.optim.lr_scheduler import LambdaLR
 from torchmetrics import MetricCollection
 
 from cophy.training.losses import position_loss, stability_loss
@@ -49,9 +51,10 @@ class PredictionModule(L.LightningModule):
         self._measure("test", self(batch), batch)
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        """Adam, its learning rate falling to zero along a cosine over the epochs of the run."""
+        """Adam, its learning rate falling to zero along a cosine over the epochs of the run (also of a longer resumed one)."""
         optimizer = torch.optim.Adam(self.network.parameters(), lr=self.training_settings.learning_rate)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=self.trainer.max_epochs or 1)
+        epochs = max(self.trainer.max_epochs or 1, 1)
+        schedule = LambdaLR(optimizer, lambda epoch: (1 + math.cos(math.pi * min(epoch / epochs, 1))) / 2)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:

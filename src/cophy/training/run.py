@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 
 # the whole data set lies in memory and is sliced: Lightning's advice to add workers does not apply
 warnings.filterwarnings("ignore", ".*does not have many workers.*")
+warnings.filterwarnings("ignore", ".*LeafSpec.*")  # of Lightning 2.6 with torch 2.13, nothing a user can do
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,9 @@ class ResumeHint(L.Callback):
 
     def on_exception(self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException) -> None:
         if self.checkpoint.exists():
-            log.info("stopped in epoch %d: go on with ckpt=%s", trainer.current_epoch, self.checkpoint)
+            log.warning("stopped in epoch %d: go on with ckpt=%s", trainer.current_epoch, self.checkpoint)
+        else:
+            log.warning("stopped in epoch %d, before the first checkpoint", trainer.current_epoch)
 
 
 def _existing(ckpt: str | None) -> str | None:
