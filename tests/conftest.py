@@ -1,5 +1,6 @@
 """Shared fixtures: scenarios as configured, one simulator, tiny datasets made once per session."""
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,8 @@ def simulator() -> Iterator[Simulator]:
 @pytest.fixture(scope="session")
 def tiny_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data directory with one tiny dataset per scenario, shared by parallel test processes."""
-    directory = tmp_path_factory.getbasetemp().parent / "cophy-tiny-data"
+    session = tmp_path_factory.getbasetemp()
+    directory = (session.parent if "PYTEST_XDIST_WORKER" in os.environ else session) / "tiny-data"
     directory.mkdir(exist_ok=True)
     with FileLock(directory / ".session.lock"):
         for name in SCENARIOS:

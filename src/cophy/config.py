@@ -30,8 +30,8 @@ class DataConfig:
     seed: int = MISSING
 
     def __post_init__(self) -> None:
-        if self.workers < 1 or self.seed < 0:
-            raise ValueError(f"workers={self.workers} must be at least 1, and seed={self.seed} not negative")
+        _at_least(1, workers=self.workers)
+        _at_least(0, seed=self.seed)
 
 
 @dataclass
@@ -79,8 +79,8 @@ class TrainConfig(DataConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.threads < 1 or self.data_seed < 0:
-            raise ValueError(f"threads={self.threads} must be at least 1, and data_seed={self.data_seed} not negative")
+        _at_least(1, threads=self.threads)
+        _at_least(0, data_seed=self.data_seed)
         if self.positions not in POSITIONS:
             raise ValueError(f"positions={self.positions} is not among {', '.join(POSITIONS)}")
 
@@ -125,6 +125,12 @@ class ReportConfig:
 
     outputs: str = MISSING
     directory: str = MISSING
+
+
+def _at_least(smallest: int, **values: int) -> None:
+    for key, value in values.items():
+        if value < smallest:
+            raise ValueError(f"{key}={value} must be at least {smallest}")
 
 
 def register() -> None:

@@ -79,4 +79,5 @@ class PredictionModule(L.LightningModule):
             assert isinstance(metrics, MetricCollection)
             with torch.no_grad():
                 metrics.update(prediction, batch)
-            self.log_dict(metrics, on_step=False, on_epoch=True, prog_bar=split == "val")
+            for name, metric in metrics.items(keep_base=False):
+                self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
