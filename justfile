@@ -1,5 +1,7 @@
 python := `command -v python3.11 || command -v python3.10 || command -v python3`
 bin := ".venv/bin"
+# the lock is for Python 3.11; others take what pyproject.toml allows, with the same torch
+packages := if python =~ "python3.11$" { "-r requirements.lock" } else { "torch==2.13.0 -e '.[dev]'" }
 
 # list the recipes
 default:
@@ -7,14 +9,14 @@ default:
 
 # make .venv with the locked packages (again only when the lock changes)
 setup:
-    @cmp -s requirements.lock .venv/requirements.lock || ({{python}} -m venv .venv && {{bin}}/pip install -r requirements.lock && {{bin}}/pip install --no-deps -e . && cp requirements.lock .venv/)
+    @cmp -s requirements.lock .venv/requirements.lock || ({{python}} -m venv .venv && {{bin}}/pip install {{packages}} && {{bin}}/pip install --no-deps -e . && cp requirements.lock .venv/)
 
 # generate data, train the rows of a small table, test them and print it (under 15 minutes on two cores)
 demo: setup
-    {{bin}}/python src/train.py -m scenario=collision model=copy_c,copy_b
-    {{bin}}/python src/train.py -m scenario=collision 'ablation=glob(*)' trainer.max_epochs=15
-    {{bin}}/python src/report.py
-    @echo "Curves: {{bin}}/tensorboard --logdir outputs"
+    {{bin}}/python src/train.py -m scenario=collision model=copy_c,copy_b hydra.sweep.dir=outputs/demo
+    {{bin}}/python src/train.py -m scenario=collision 'ablation=glob(*)' trainer.max_epochs=15 hydra.sweep.dir=outputs/demo
+    {{bin}}/python src/report.py outputs=outputs/demo
+    @echo "Curves: {{bin}}/tensorboard --logdir outputs/demo"
 
 # run the tests (minutes), or some: just test tests/models
 test *args: setup

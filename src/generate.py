@@ -21,8 +21,8 @@ def main(cfg: DictConfig) -> None:
 
 def specs(settings: config.GenerateConfig) -> list[DatasetSpec]:
     """The datasets that the split, or num_objects, names."""
-    split = settings.split
-    counts = settings.num_objects or sorted({split.train.num_objects, split.test.num_objects})
+    settings.split.check_scenario(settings.scenario)
+    counts = settings.num_objects or sorted({settings.split.train.num_objects, settings.split.test.num_objects})
     return [DatasetSpec(settings.scenario, count, settings.size, settings.seed) for count in counts]
 
 

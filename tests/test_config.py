@@ -89,6 +89,10 @@ MISTAKES = {
     "model._target_=os.system": "model._target_=os.system cannot be imported",
     "model._target_=collections.Counter": "model._target_=collections.Counter is not a torch.nn.Module",
     "ckpt=nowhere.ckpt": "ckpt=nowhere.ckpt is no file",
+    f"ckpt={ROOT}/README.md": "is no checkpoint of train.py, or a damaged one",
+    "trainer.max_epochs=0": "trainer.max_epochs=0 must be positive",
+    "seed=0 data_seed=-1": "data_seed=-1 must be at least 0",
+    "scenario.confounders.mass=[1] scenario.confounders.friction=[1] scenario=balls": "too few configurations for twins",
 }
 
 

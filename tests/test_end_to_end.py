@@ -61,6 +61,18 @@ def test_resuming_equals_training_without_a_break(tiny_data: Path, tmp_path: Pat
     assert whole == pytest.approx(part, rel=0.2)  # the order of batches differs after the break
 
 
+def test_a_checkpoint_of_another_model_is_refused(tiny_data: Path, tmp_path: Path) -> None:
+    train("model.hidden_dim=8", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    last = tmp_path / "checkpoints" / "last.ckpt"
+    printed = train(f"ckpt={last}", f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
+    assert "is of another model (model.hidden_dim=8)" in printed
+
+
+def test_generate_refuses_the_split_of_another_scenario(tmp_path: Path) -> None:
+    printed = run("generate", "scenario=balls", "split=3to4", f"data_dir={tmp_path}", code=1)
+    assert "split=3to4 does not go with balls: use 4to4, 4to2, 4to3, 4to5, 4to6" in printed
+
+
 def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Path, tmp_path: Path) -> None:
     sweep = ("-m", f"hydra.sweep.dir={tmp_path}", "scenario=blocktower")
     train(*sweep, "ablation=glob(*)", data=tiny_data)
@@ -72,7 +84,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     assert "— / 0.318" in markdown  # IN was not run
     row = next(line for line in markdown.splitlines() if line.startswith("| 3→3 "))
     assert row.count("—") == 3
-    assert "Size tiny: 28 training and 4 test experiments; seeds [0]." in markdown
+    assert "Size tiny: 28 training and 4 test experiments; 1 epochs; seeds 0." in markdown
     assert (tmp_path / "report" / "table2.csv").read_text().startswith("split,column,ours,sd,seeds,paper")
 
 

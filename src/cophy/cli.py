@@ -20,8 +20,12 @@ def run(main: Callable[[], Any]) -> None:
         main()
     except (HydraException, OmegaConfBaseException, CophyError) as error:
         sys.exit(f"{sys.argv[0]}: {explain(error)}")
+    except OSError as error:
+        if error.filename is None:
+            raise
+        sys.exit(f"{sys.argv[0]}: {error.filename}: {error.strerror}")
     except KeyboardInterrupt:
-        sys.exit(f"{sys.argv[0]}: interrupted; the same command continues, finished shards are kept")
+        sys.exit(f"{sys.argv[0]}: interrupted; finished shards and checkpoints are kept")
 
 
 def to_config(config: Any) -> Any:

@@ -3,7 +3,7 @@
 They live in groups of their own (`schema/...`), so that `glob(*)` over scenarios or models finds rows only.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
@@ -53,9 +53,9 @@ class TrainerConfig:
     gradient_clip_val: float | None = None
     max_time: str | None = None
     check_val_every_n_epoch: int = 1
-    limit_train_batches: float | None = None
-    limit_val_batches: float | None = None
-    limit_test_batches: float | None = None
+    limit_train_batches: Any = None
+    limit_val_batches: Any = None
+    limit_test_batches: Any = None
     fast_dev_run: bool = False
     log_every_n_steps: int = 50
     enable_progress_bar: bool = True
@@ -64,6 +64,10 @@ class TrainerConfig:
     strategy: str = "auto"
     profiler: str | None = None
 
+    def __post_init__(self) -> None:
+        if self.max_epochs == 0 or self.max_epochs < -1:
+            raise ValueError(f"trainer.max_epochs={self.max_epochs} must be positive, or -1 for no limit")
+
 
 @dataclass
 class TrainConfig(DataConfig):
@@ -71,7 +75,7 @@ class TrainConfig(DataConfig):
 
     model: Any = MISSING
     training: Training = MISSING
-    trainer: TrainerConfig = field(default_factory=TrainerConfig)
+    trainer: TrainerConfig = MISSING
     positions: str = MISSING
     data_seed: int = MISSING
     threads: int = MISSING

@@ -22,10 +22,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         self, *, scenario: Scenario, split: Split, size: Size, seed: int, data_dir: Path, batch_size: int, workers: int
     ) -> None:
         super().__init__()
-        if split.name not in scenario.task.splits:
-            raise CophyError(
-                f"split={split.name} does not go with {scenario.name}: use {', '.join(scenario.task.splits)}"
-            )
+        split.check_scenario(scenario)
         self.scenario, self.split, self.data_dir = scenario, split, data_dir
         self.batch_size, self.workers = batch_size, workers
         self.train_spec = DatasetSpec(scenario, split.train.num_objects, size, seed)

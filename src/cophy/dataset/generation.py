@@ -56,8 +56,7 @@ def generate(spec: DatasetSpec, *, data_dir: Path, workers: int) -> Path:
     if multiprocessing.parent_process() is not None:  # a worker imports the script that started it
         raise CophyError("put what your script runs under `if __name__ == '__main__':`, generation starts processes")
     directory = spec.directory(data_dir)
-    directory.mkdir(parents=True, exist_ok=True)
-    with FileLock(directory / ".lock"), _explain_full_disk(directory, spec):
+    with _explain_full_disk(directory, spec), _locked(directory):
         for leftover in directory.glob("*.tmp"):
             leftover.unlink()
         missing = _missing_shards(directory, spec)
@@ -155,6 +154,14 @@ def _progress_bar(spec: DatasetSpec, total: int) -> Iterator[Callable[[int], Non
             bar.update(count - bar.n)
 
         yield advance_to
+
+
+@contextmanager
+def _locked(directory: Path) -> Iterator[None]:
+    """One process at a time works on a dataset."""
+    directory.mkdir(parents=True, exist_ok=True)
+    with FileLock(directory / ".lock"):
+        yield
 
 
 @contextmanager

@@ -80,10 +80,9 @@ class DatasetSpec:
         """Where the dataset lies."""
         return data_dir / self.scenario.name / self.id
 
-    @property
-    def command(self) -> str:
-        """The command that makes, continues or repairs this dataset."""
+    def command(self, directory: Path) -> str:
+        """The command that makes, continues or repairs this dataset in its directory."""
         return (
             f"python src/generate.py scenario={self.scenario.name} size={self.size.name} "
-            f"num_objects=[{self.num_objects}] seed={self.seed}"
+            f"'num_objects=[{self.num_objects}]' seed={self.seed} data_dir={directory.parents[1]}"
         )

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cophy.scenario import Shape
+from cophy.errors import CophyError
+from cophy.scenario import Scenario, Shape
 
 SPLITS = ("train", "val", "test")
 FRACTIONS = (0.7, 0.2, 0.1)  # paper Sec. 3
@@ -46,6 +47,12 @@ class Split:
     name: str
     train: Part
     test: Part
+
+    def check_scenario(self, scenario: Scenario) -> None:
+        """Refuse a scenario this split was not made for."""
+        if self.name not in scenario.task.splits:
+            choices = ", ".join(scenario.task.splits)
+            raise CophyError(f"split={self.name} does not go with {scenario.name}: use {choices}")
 
 
 def split_of_experiments(num_experiments: int, seed: int) -> np.ndarray:

@@ -57,7 +57,7 @@ def read_checksums(directory: Path, spec: DatasetSpec) -> dict[str, str] | None:
         if set(checksums) != expected or not all(isinstance(value, str) for value in checksums.values()):
             raise ValueError("its list of shards is not this dataset's")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise CophyError(f"{path} is damaged ({error}): delete it and run `{spec.command}`") from error
+        raise CophyError(f"{path} is damaged ({error}): delete it and run `{spec.command(directory)}`") from error
     return dict(checksums)
 
 
@@ -83,14 +83,16 @@ def load(directory: Path, spec: DatasetSpec) -> dict[str, np.ndarray]:
     """All arrays of a finished dataset, experiments in order; every shard is checked against its checksum."""
     checksums = read_checksums(directory, spec)
     if checksums is None:
-        raise CophyError(f"{directory} holds no finished dataset: run `{spec.command}`")
+        raise CophyError(f"{directory} holds no finished dataset: run `{spec.command(directory)}`")
     shards = []
     for shard in range(spec.num_shards):
         path = shard_path(directory, shard)
         try:
             shards.append(read_shard(directory, shard, spec, checksums[path.name]))
         except DamagedShardError as error:
-            raise CophyError(f"{path} is damaged ({error}): run `{spec.command}` to make it again") from error
+            raise CophyError(
+                f"{path} is damaged ({error}): run `{spec.command(directory)}` to make it again"
+            ) from error
     return {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
 
 

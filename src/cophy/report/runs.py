@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
@@ -17,18 +18,23 @@ NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "size")
 COUNTS = ("num_train", "num_test", "wall_seconds")
 
 
-def read_runs(outputs: Path, model_of: Callable[[dict[str, Any]], dict[str, Any]]) -> pd.DataFrame:
-    """Finished runs, one line each: names, counts and every test metric.
+def read_runs(outputs: Path, configuration_of: Callable[[dict[str, Any]], dict[str, Any]]) -> pd.DataFrame:
+    """Finished runs, one line each: names, counts, epochs and every test metric.
 
-    model_of: from a run's names to the model configuration that they stand for. A run whose own configuration differs
-    (an override on the command line beats a row's setting) fills no table; it is named in the log instead.
+    configuration_of: from a run's names to the model, scenario and split that they stand for. A run whose own
+    configuration differs (an override on the command line beats a row's setting) fills no table; the log names it.
     """
     lines = []
     for path in sorted(outputs.rglob("metrics.json")):
         try:
             line = _read(path)
-            changes = _differences(_model_configuration(path.parent), model_of(line))
-        except (ValueError, KeyError, TypeError, OSError, OmegaConfBaseException, YAMLError) as error:
+            own: Any = OmegaConf.load(path.parent / ".hydra" / "config.yaml")
+            expected = configuration_of(line)
+            changes = [
+                change for part in expected for change in _differences(f"{part}.", _plain(own[part]), expected[part])
+            ]
+            line["epochs"] = int(own.trainer.max_epochs)
+        except (ValueError, KeyError, TypeError, OSError, OmegaConfBaseException, HydraException, YAMLError) as error:
             log.warning("%s is skipped: %s: %s", path, type(error).__name__, " ".join(str(error).split()))
             continue
         if changes:
@@ -44,14 +50,12 @@ def _read(path: Path) -> dict[str, Any]:
     return line | {name: float(value) for name, value in content["metrics"].items()}
 
 
-def _model_configuration(directory: Path) -> dict[str, Any]:
-    model = OmegaConf.load(directory / ".hydra" / "config.yaml").model
-    container = OmegaConf.to_container(model, resolve=True)
-    if not isinstance(container, dict):
-        raise TypeError("its .hydra/config.yaml has no model")
-    return {str(key): value for key, value in container.items()}
+def _plain(node: Any) -> Any:
+    return OmegaConf.to_container(node, resolve=True)
 
 
-def _differences(own: dict[str, Any], expected: dict[str, Any]) -> list[str]:
-    keys = sorted(own.keys() | expected.keys())
-    return [f"model.{key}={own.get(key)}" for key in keys if own.get(key) != expected.get(key)]
+def _differences(prefix: str, own: Any, expected: Any) -> list[str]:
+    if isinstance(own, dict) and isinstance(expected, dict):
+        keys = sorted(own.keys() | expected.keys())
+        return [found for key in keys for found in _differences(f"{prefix}{key}.", own.get(key), expected.get(key))]
+    return [] if own == expected else [f"{prefix.rstrip('.')}={own}"]

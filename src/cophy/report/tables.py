@@ -7,6 +7,8 @@ from typing import Any
 import pandas as pd
 import yaml
 
+from cophy.report.runs import COUNTS, NAMES
+
 MISSING = "—"
 
 
@@ -45,6 +47,7 @@ def fill(table: PaperTable, runs: pd.DataFrame) -> FilledTable:
     for split, label in table.rows.items():
         for (column, choice), printed in zip(table.columns.items(), table.paper[split], strict=True):
             found = _select(runs, scenario=table.scenario, split=split, positions="ground_truth", **choice)
+            found = found[found["num_train"] == found["num_train"].max()] if len(found) else found  # one size per cell
             used.append(found)
             ours = found[table.metric] if len(found) else pd.Series(dtype=float)
             cells.append({"train → test": label, "column": column, "cell": f"{_show(ours)} / {_paper(printed)}"})
@@ -62,6 +65,19 @@ def fill(table: PaperTable, runs: pd.DataFrame) -> FilledTable:
     wide = wide.loc[list(table.rows.values()), list(table.columns)]
     wide.columns.name = None
     return FilledTable(table, wide, pd.DataFrame(values), _caption(table, pd.concat(used)))
+
+
+def summary(runs: pd.DataFrame) -> pd.DataFrame:
+    """Every row that was run: each test metric, mean over seeds, ± standard deviation where there are several."""
+    if runs.empty:
+        return pd.DataFrame()
+    names = ["scenario", "split", "model", "ablation", "positions", "size"]
+    metrics = [column for column in runs.columns if column not in (*NAMES, *COUNTS, "epochs")]
+    rows = []
+    for choice, found in runs.groupby(names):
+        where = "/".join(str(name) for name in choice)
+        rows.append({"run": where} | {metric.replace("_", " "): _show(found[metric].dropna()) for metric in metrics})
+    return pd.DataFrame(rows)
 
 
 def _select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
@@ -87,14 +103,13 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
     notes = ["Each cell: ours / the paper's. Lower is better."]
     if used.empty:
         return " ".join([*notes, "Nothing was run yet."])
-    sizes = ", ".join(sorted(used["size"].unique()))
-    counts = [
-        f"{used[name].min()}–{used[name].max()}" if used[name].nunique() > 1 else f"{used[name].iloc[0]}"
-        for name in ("num_train", "num_test")
-    ]
-    notes.append(
-        f"Size {sizes}: {counts[0]} training and {counts[1]} test experiments; seeds {sorted(used['seed'].unique().tolist())}."
-    )
-    if any("gt_confounders" in choice.values() for choice in table.columns.values()):
-        notes.append("True confounders include the initial velocities.")
+    values = {
+        name: sorted(used[name].unique().tolist()) for name in ("size", "num_train", "num_test", "epochs", "seed")
+    }
+    size, num_train, num_test, epochs, seeds = (", ".join(map(str, chosen)) for chosen in values.values())
+    notes.append(f"Size {size}: {num_train} training and {num_test} test experiments; {epochs} epochs; seeds {seeds}.")
+    if "gt_confounders" in used["ablation"].to_numpy():
+        notes.append(
+            "Where the true confounders are given, they include what positions hide: initial velocity, shape and orientation."
+        )
     return " ".join(notes)

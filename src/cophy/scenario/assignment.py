@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cophy.errors import CophyError
+
 
 @dataclass(frozen=True)
 class Assignment:
@@ -40,6 +42,10 @@ def assign(pair: int, *, seed: int, num_configurations: int, num_do_operations: 
     turn, half = divmod(block, 2)
     seen = seen_configurations(num_configurations, seed)
     configurations = np.flatnonzero(seen == bool(half))
+    if len(configurations) < 2:
+        raise CophyError(
+            "scenario.confounders leave too few configurations for twins: give some confounder more values"
+        )
     cycle, rank = divmod(turn, len(configurations))
     order = np.random.default_rng((seed, cycle, half, 0xC0)).permutation(configurations)
     shift = 1 + int(np.random.default_rng((seed, cycle, half, 0xC1)).integers(len(order) - 1))

@@ -20,6 +20,7 @@ from cophy.scenario.scene import Body, Scene, Shape, Trajectory, trajectory_dist
 from cophy.scenario.stability import tower_margins
 from cophy.scenario.surroundings import floor
 
+# how hard a search tries; other values find other experiments, so raise dataset.spec.FORMAT_VERSION with them
 TOWERS_PER_BATCH = 1024
 VARIANTS_PER_TOWER = 48
 BATCHES_PER_CONFIGURATION = 40

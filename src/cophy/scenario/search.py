@@ -16,6 +16,7 @@ from cophy.scenario.physics import Simulator
 from cophy.scenario.scenario import Scenario, TwinPair
 from cophy.scenario.scene import Scene, Trajectory, trajectory_distance
 
+# how hard a search tries; other values find other experiments, so raise dataset.spec.FORMAT_VERSION with them
 SCENES_PER_CONFIGURATION = 30
 DO_OPERATIONS_PER_SCENE = 3
 

@@ -44,7 +44,7 @@ def final_position_error(dims: int) -> PerExperiment:
 
 
 def stability_accuracy(prediction: Prediction, batch: Batch) -> Tensor:
-    """(B,) share of objects and steps whose stability is predicted right."""
+    """(B,) share of objects and steps whose stability is predicted right; one decision for all steps counts at each."""
     assert prediction.stable_logit is not None
     right = (prediction.stable_logit > 0) == batch.stable
     return _over_objects(right.float().mean(dim=1), batch.presence)

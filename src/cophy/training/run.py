@@ -2,6 +2,7 @@
 
 import json
 import logging
+import pickle
 import time
 import warnings
 from dataclasses import dataclass
@@ -48,6 +49,7 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
     resolved: the configuration as plain values; it goes to TensorBoard and into every checkpoint.
     """
     start = time.monotonic()
+    (row.directory / "metrics.json").unlink(missing_ok=True)  # a stopped run must not pass for the one before it
     torch.set_num_threads(settings.threads)
     L.seed_everything(settings.seed, workers=True, verbose=False)
     data = CounterfactualDataModule(
@@ -68,13 +70,14 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
     trainer.logger.log_hyperparams(_flatten(resolved), {"test/mse": float("nan")})
     checkpoint = None
     if module.learns:
-        trainer.fit(module, data, ckpt_path=_existing(settings.ckpt), weights_only=True)
+        trainer.fit(module, data, ckpt_path=_resumable(settings.ckpt, resolved), weights_only=True)
         checkpoint = None if settings.trainer.fast_dev_run else "best"
     elif settings.ckpt is not None:
         raise CophyError(f"ckpt={settings.ckpt}: {row.model} has nothing to train or to restore")
     results = trainer.test(module, data, ckpt_path=checkpoint, weights_only=True, verbose=False)[0]
     metrics = {name.removeprefix("test/"): value for name, value in results.items()}
-    _write_metrics(row, data, metrics, wall_seconds=time.monotonic() - start)
+    if not settings.trainer.fast_dev_run:
+        _write_metrics(row, data, metrics, wall_seconds=time.monotonic() - start)
     return metrics
 
 
@@ -119,9 +122,20 @@ class ResumeHint(L.Callback):
             log.warning("stopped in epoch %d, before the first checkpoint", trainer.current_epoch)
 
 
-def _existing(ckpt: str | None) -> str | None:
-    if ckpt is not None and not Path(ckpt).is_file():
+def _resumable(ckpt: str | None, resolved: dict[str, Any]) -> str | None:
+    """The checkpoint to go on from, if it is one and of this model; reading it runs no code (weights_only)."""
+    if ckpt is None:
+        return None
+    if not Path(ckpt).is_file():
         raise CophyError(f"ckpt={ckpt} is no file")
+    try:
+        model = torch.load(ckpt, map_location="cpu", weights_only=True)["config"]["model"]
+    except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
+        raise CophyError(f"ckpt={ckpt} is no checkpoint of train.py, or a damaged one") from error
+    differing = {key for key in model.keys() | resolved["model"].keys() if model.get(key) != resolved["model"].get(key)}
+    if differing:
+        keys = ", ".join(f"model.{key}={model.get(key)}" for key in sorted(differing))
+        raise CophyError(f"ckpt={ckpt} is of another model ({keys}): train it with the same, or another one anew")
     return ckpt
 
 
