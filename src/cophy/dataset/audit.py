@@ -1,6 +1,6 @@
 """Is a dataset what it claims to be? Each check looks at the stored arrays alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,21 +71,24 @@ def _twins(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
 
 def _shares(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     """Frequencies of strata, do-operations and confounder values: equal, up to chance and BALANCE."""
+    scenario, count, cells = spec.scenario, len(arrays["twin"]), spec.scenario.num_cells()
+    strata, kinds, grid = scenario.strata(), scenario.do_operations, scenario.confounders
+    yield _level("strata", arrays["stratum"], dict(enumerate(strata)), draws=count)
+    yield _level("do-operations", arrays["do_operation"], dict(enumerate(kinds)), draws=count // (2 * cells))
     present = arrays["object_index"] >= 0
-    grid = spec.scenario.confounders
-    yield _level("strata", arrays["stratum"], spec.scenario.strata(), range(len(spec.scenario.strata())))
-    yield _level(
-        "do-operations", arrays["do_operation"], spec.scenario.do_operations, range(len(spec.scenario.do_operations))
-    )
+    # each configuration that is drawn serves one experiment per cell
     for name in ("mass", "friction", "restitution"):
-        yield _level(name, arrays[name][present], getattr(grid, name), getattr(grid, name))
+        values = {value: f"{value:g}" for value in getattr(grid, name)}
+        yield _level(name, arrays[name][present], values, draws=present.sum() // cells)
     for axis, name in enumerate(("gravity_x", "gravity_y")):
-        yield _level(name, arrays["gravity"][:, axis], getattr(grid, name), getattr(grid, name))
+        values = {value: f"{value:g}" for value in getattr(grid, name)}
+        yield _level(name, arrays["gravity"][:, axis], values, draws=count // cells)
 
 
-def _level(name: str, values: np.ndarray, labels: object, codes: object) -> Check:
-    share = {str(label): float(np.isclose(values, code).mean()) for label, code in zip(labels, codes, strict=True)}  # type: ignore[call-overload]
-    passed = all(abs(value - 1 / len(share)) <= BALANCE for value in share.values())
+def _level(name: str, values: np.ndarray, labels: Mapping[float, str], *, draws: int) -> Check:
+    share = {label: float(np.isclose(values, value).mean()) for value, label in labels.items()}
+    equal = 1 / len(share)
+    passed = all(abs(value - equal) <= _tolerance(equal, draws) for value in share.values())
     return Check(f"share of {name}", "  ".join(f"{label} {value:.1%}" for label, value in share.items()), passed)
 
 
@@ -129,7 +132,7 @@ def _agreement(arrays: Arrays, spec: DatasetSpec) -> Check:
             for s, k in levels.items()
         )
         outcome = np.char.endswith(names[rows], "stands")[:, None]
-        share.append((observed & (counterfactual == outcome)).sum(axis=1) / observed.sum(axis=1))
+        share.append((observed & (counterfactual == outcome)).sum(axis=1) / observed.sum(axis=1).clip(min=1))
     shares = np.concatenate(share)
     needed = spec.scenario.min_agreement  # type: ignore[attr-defined]
     found = f"mean {shares.mean():.1%}, least {shares.min():.1%}, certain in {(shares == 1).mean():.1%}"
@@ -138,5 +141,10 @@ def _agreement(arrays: Arrays, spec: DatasetSpec) -> Check:
 
 def _stability(name: str, values: np.ndarray, stands: np.ndarray) -> Check:
     share = {float(value): float(stands[values == value].mean()) for value in np.unique(values)}
-    passed = all(abs(value - 0.5) <= BALANCE for value in share.values())
+    passed = all(abs(s - 0.5) <= _tolerance(0.5, (values == value).sum()) for value, s in share.items())
     return Check(f"CD stands, per {name}", "  ".join(f"{value:g}: {s:.1%}" for value, s in share.items()), passed)
+
+
+def _tolerance(share: float, draws: int) -> float:
+    """BALANCE, or three standard deviations of a share among `draws` independent draws where that is more (tiny sets)."""
+    return max(BALANCE, 3 * float(np.sqrt(share * (1 - share) / draws)))
