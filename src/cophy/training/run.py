@@ -42,11 +42,15 @@ class Row:
     size: str
     directory: Path
 
+    def names(self) -> dict[str, Any]:
+        """The names alone."""
+        return {key: value for key, value in vars(self).items() if key != "directory"}
+
 
 def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[str, float]:
     """Train (if there is anything to train), test the best checkpoint, write metrics.json; returns the metrics.
 
-    resolved: the configuration as plain values; it goes to TensorBoard and into every checkpoint.
+    resolved: the configuration as plain values; it goes into every checkpoint.
     """
     start = time.monotonic()
     (row.directory / "metrics.json").unlink(missing_ok=True)  # a stopped run must not pass for the one before it
@@ -67,7 +71,8 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
     )
     trainer = _trainer(settings, row.directory)
     assert isinstance(trainer.logger, TensorBoardLogger)
-    trainer.logger.log_hyperparams(_flatten(resolved), {"test/mse": float("nan")})
+    compared = row.names() | _flatten({part: resolved[part] for part in ("model", "training", "trainer")})
+    trainer.logger.log_hyperparams(compared, {"test/mse": float("nan")})
     checkpoint = None
     if module.learns:
         trainer.fit(module, data, ckpt_path=_resumable(settings.ckpt, resolved), weights_only=True)
@@ -149,9 +154,8 @@ def _flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _write_metrics(row: Row, data: CounterfactualDataModule, metrics: dict[str, float], *, wall_seconds: float) -> None:
     """metrics.json, once and whole: the row's names, the data behind it, and the test metrics."""
-    names = {key: value for key, value in vars(row).items() if key != "directory"}
     content = {
-        **names,
+        **row.names(),
         "dataset_ids": data.dataset_ids,
         "num_train": len(data.train),
         "num_test": len(data.test),
