@@ -52,7 +52,8 @@ def show(title: str, cells: pd.DataFrame, caption: str) -> None:
     """Print a table; the paper's number stands below ours."""
     table = Table(title=title, caption=caption, title_justify="left", caption_justify="left")
     for column in cells.columns:
-        table.add_column(str(column), justify="left" if column == cells.columns[0] else "right")
+        first = column == cells.columns[0]
+        table.add_column(str(column), justify="left" if first else "right", overflow="fold")
     for row in cells.itertuples(index=False):
         table.add_row(*(str(cell).replace(" / ", "\n") for cell in row))
     Console().print(table)

@@ -75,7 +75,7 @@ def summary(runs: pd.DataFrame) -> pd.DataFrame:
     metrics = [column for column in runs.columns if column not in (*NAMES, *COUNTS, "epochs")]
     rows = []
     for choice, found in runs.groupby(names):
-        where = "/".join(str(name) for name in choice)
+        where = " ".join(str(name) for name in choice)
         rows.append({"run": where} | {metric.replace("_", " "): _show(found[metric].dropna()) for metric in metrics})
     return pd.DataFrame(rows)
 
