@@ -125,7 +125,7 @@ def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_pat
     run("audit", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
 
 
-def test_audit_reports_a_swapped_confounder(tmp_path: Path) -> None:
+def test_audit_reports_a_twin_in_another_split(tmp_path: Path) -> None:
     """Consistent checksums do not save a dataset whose twins do not belong together."""
     import h5py
 
