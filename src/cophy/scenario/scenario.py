@@ -100,7 +100,7 @@ class Scenario(ABC):
             num_do_operations=len(self.do_operations),
             num_cells=self.num_cells(),
         )
-        rng = np.random.default_rng((seed, pair))
+        rng = np.random.default_rng((seed, num_objects, pair))  # no scene of K objects recurs among those of K + 1
         slots = tuple(int(slot) for slot in rng.permutation(self.num_slots)[:num_objects])
         background_seed = int(rng.integers(2**31))
         before = simulator.num_simulations
