@@ -1,19 +1,16 @@
-"""Tables from outputs/, ours beside the paper's numbers: python src/report.py"""
+"""Tables and figures from outputs/, ours beside the paper's numbers: python src/report.py"""
 
+import io
 import logging
 from pathlib import Path
 from typing import Any
 
 import hydra
-import pandas as pd
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
-from rich.table import Table
 
 from cophy import cli, config
-from cophy.dataset.store import write_atomically
-from cophy.report.runs import read_runs
-from cophy.report.tables import fill, paper_tables, summary
+from cophy.dataset import store
 
 config.register()
 log = logging.getLogger(__name__)
@@ -21,42 +18,88 @@ log = logging.getLogger(__name__)
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="report")
 def main(cfg: DictConfig) -> None:
+    from cophy.report import figures, render  # matplotlib takes a second to import; --help does not need it
+    from cophy.report.runs import read_runs, summary
+    from cophy.report.tables import fill, paper_tables
+
     settings: config.ReportConfig = cli.to_config(cfg)
     runs = read_runs(Path(settings.outputs), configuration_of)
     directory = Path(settings.directory)
-    directory.mkdir(parents=True, exist_ok=True)
+    (directory / "figures").mkdir(parents=True, exist_ok=True)
     filled = [fill(table, runs) for table in paper_tables()]
+    drawn = {}
     for result in filled:
-        if result.values["ours"].notna().any():
-            show(result.table.title, result.cells.reset_index(), result.caption)
+        if result.values[["seeds", "failed"]].to_numpy().any():
+            render.show(result.table.title, render.for_terminal(result), result.caption)
+            drawn[f"table-{result.table.id}"] = figures.draw_bars(result)
         else:
             log.info("%s: nothing was run yet", result.table.title)
-        write_atomically(directory / f"{result.table.id}.csv", result.values.to_csv(index=False).encode())
+        store.write_atomically(directory / f"{result.table.id}.csv", result.values.to_csv(index=False).encode())
     everything = summary(runs)
-    if len(runs):
-        show("Everything that was run", everything, "Mean over seeds, ± standard deviation where there are several.")
-    markdown = "\n".join(f"## {r.table.title}\n\n{r.cells.to_markdown()}\n\n{r.caption}\n" for r in filled)
-    markdown += f"\n## Everything that was run\n\n{everything.to_markdown(index=False)}\n"
-    write_atomically(directory / "tables.md", markdown.encode())
-    log.info("%d runs; tables in %s", len(runs), directory)
+    if len(everything):
+        main = ["run", "seeds", "training (s)", "mse", "final position error"]
+        caption = "Mean over seeds, ± standard deviation where there are several. All metrics: tables.md, runs.csv."
+        render.show("Everything that was run", everything[main], caption)
+    written = {
+        "tables.md": "\n".join(map(render.markdown, filled))
+        + f"\n## Everything that was run\n\n{everything.to_markdown(index=False)}\n",
+        "tables.tex": "\n".join(map(render.latex, filled)),
+        "runs.csv": runs.to_csv(index=False),
+    }
+    for name, text in written.items():
+        store.write_atomically(directory / name, text.encode())
+    finished = runs[runs["error"].isna()] if len(runs) else runs
+    if len(finished):
+        scenarios = {
+            name: cli.to_config(composed("train", f"scenario={name}")).scenario
+            for name in finished["scenario"].unique()
+        }
+        drawn |= dict(figures.of_predictions(finished, scenarios))
+        drawn |= stability_distribution(finished, settings)
+    for name, figure in drawn.items():
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png", dpi=110)
+        store.write_atomically(directory / "figures" / f"{name}.png", picture.getvalue())
+    log.info("%d runs; tables (md, tex, csv) and %d figures in %s", len(runs), len(drawn), directory)
+
+
+def composed(name: str, *overrides: str) -> DictConfig:
+    """A configuration as the command line composes it, rows of a `hydra.searchpath=` given to the report included."""
+    paths = [override for override in HydraConfig.get().overrides.hydra if override.startswith("hydra.searchpath=")]
+    return hydra.compose(name, [*paths, *overrides])
 
 
 def configuration_of(names: dict[str, Any]) -> dict[str, Any]:
-    """Model, scenario and split that the names of a run stand for."""
-    config = hydra.compose("train", [f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation")])
-    parts = ("model", "scenario", "split")
-    return {part: OmegaConf.to_container(config[part], resolve=True, enum_to_str=True) for part in parts}
+    """What the names of a run stand for: the keys that make it the row it claims to be."""
+    cfg = composed("train", *(f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation")))
+    plain: Any = OmegaConf.to_container(cfg, resolve=True, enum_to_str=True)
+    return {key: plain[key] for key in ("model", "scenario", "split")} | {
+        "training.confounder_weight": plain["training"]["confounder_weight"]
+    }
 
 
-def show(title: str, cells: pd.DataFrame, caption: str) -> None:
-    """Print a table; the paper's number stands below ours."""
-    table = Table(title=title, caption=caption, title_justify="left", caption_justify="left")
-    for column in cells.columns:
-        first = column == cells.columns[0]
-        table.add_column(str(column), justify="left" if first else "right", overflow="fold")
-    for row in cells.itertuples(index=False):
-        table.add_row(*(str(cell).replace(" / ", "\n") for cell in row))
-    Console().print(table)
+def stability_distribution(runs: Any, settings: config.ReportConfig) -> dict[str, Any]:
+    """The figure of that name, from the tower datasets that the runs used, where they lie in `data_dir`."""
+    from cophy.dataset.spec import DatasetSpec
+    from cophy.report.figures import draw_stability_distribution
+
+    towers = runs[runs["scenario"] == "blocktower"]
+    drawn = {}
+    for size in towers["size"].unique():
+        arrays, stands = {}, {}
+        for count in (3, 4):
+            chosen = cli.to_config(composed("generate", "scenario=blocktower", f"size={size}"))
+            spec = DatasetSpec(chosen.scenario, count, chosen.size, chosen.seed)
+            directory = spec.directory(Path(settings.data_dir))
+            if not store.is_finished(directory, spec):
+                log.info("%s is not there: no stability distribution of towers of %d", directory, count)
+                continue
+            arrays[count] = store.load(directory, spec)
+            standing = [stratum.endswith("stands") for stratum in chosen.scenario.strata()]
+            stands[count] = [standing[stratum] for stratum in arrays[count]["stratum"]]
+        if arrays:
+            drawn[f"stability_distribution-{size}"] = draw_stability_distribution(arrays, stands)
+    return drawn
 
 
 if __name__ == "__main__":

@@ -13,18 +13,24 @@ config.register()
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="train")
 def main(cfg: DictConfig) -> float:
-    from cophy.training.run import Row, run_row  # Lightning takes seconds to import; --help does not need it
+    from cophy.training.row import Row
+    from cophy.training.run import run_row  # Lightning takes seconds to import; --help does not need it
 
-    settings: config.TrainConfig = cli.to_config(cfg)
     chosen = HydraConfig.get().runtime
     row = Row(
         **{group: chosen.choices[group] for group in ("scenario", "split", "model", "ablation", "size")},
-        positions=settings.positions,
-        seed=settings.seed,
+        positions=cfg.positions,
+        seed=cfg.seed,
         directory=Path(chosen.output_dir),
     )
     resolved = OmegaConf.to_container(cfg, resolve=True, enum_to_str=True)
-    return run_row(settings, row, resolved)["mse"]
+    row.start()
+    try:
+        settings: config.TrainConfig = cli.to_config(cfg)
+        return run_row(settings, row, resolved).get("mse", float("nan"))
+    except Exception as error:
+        row.fail(error)
+        raise
 
 
 if __name__ == "__main__":

@@ -1,20 +1,26 @@
 """Every configuration composes, ablations change what they declare, mistakes are answered in one line."""
 
+import itertools
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from cophy.report.tables import PaperTable, paper_tables
 from tests.conftest import ROOT, SCENARIOS, composed, settings
 
 ABLATIONS = {
     "full": set(),
     "static_gating": {"model.gating"},
+    "mlp": {"model.interaction", "model.slots"},
+    "single_step": {"model.decoding", "model.num_frames"},
     "feedforward": {"model.confounders"},
     "gt_confounders": {"model.confounders"},
+    "supervised_confounders": {"training.confounder_weight"},
 }
 
 
@@ -85,7 +91,13 @@ MISTAKES = {
     "training.learning_rate=-1": "training: batch_size and learning_rate must be positive",
     "positions=guessed": "positions=guessed is not among ground_truth",
     "scenario=collision split=3to4": "split=3to4 does not go with collision: use all, sphere_to_cylinder, cylinder_to_sphere",
-    "model=copy_c ablation=static_gating": "In 'ablation/static_gating': ConfigKeyError raised while composing config: Key 'gating' not in 'CopyCConfig'",
+    "model=copy_c ablation=static_gating": "ablation=static_gating does not go with this model: Key 'gating' not in 'CopyCConfig'",
+    "model=in ablation=feedforward": "ablation=feedforward does not go with this model: Invalid value 'none'",
+    "model=npe ablation=mlp": "ablation=mlp does not go with this model: Key 'interaction'",
+    "model=in ablation=supervised_confounders": "needs a model that estimates confounders from AB",
+    "model=npe model.radius=0": "model.radius=0.0 must be positive",
+    "model.interaction=mlp": "model.interaction=mlp needs model.slots",
+    "+table=bals": "table=bals does not exist (did you mean balls?)",
     "model._target_=os.system": "model._target_=os.system cannot be imported",
     "model._target_=collections.Counter": "model._target_=collections.Counter is not a torch.nn.Module",
     "ckpt=nowhere.ckpt": "ckpt=nowhere.ckpt is no file",
@@ -130,3 +142,23 @@ def test_a_misspelt_ablation_stops_before_the_first_job(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert "gatting" in result.stderr
     assert not list(tmp_path.rglob("metrics.json"))
+
+
+@pytest.mark.parametrize("table", paper_tables(), ids=lambda table: table.id)
+def test_the_sweep_of_a_table_runs_exactly_what_its_cells_show(table: PaperTable) -> None:
+    params = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "table" / f"{table.id}.yaml").hydra.sweeper.params)
+    swept = set()
+    for values in itertools.product(*(str(value).split(",") for value in params.values())):
+        overrides = [f"{key}={value}" for key, value in zip(params, values, strict=True)]
+        with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+            choices = compose("train", overrides, return_hydra_config=True).hydra.runtime.choices
+        swept.add(tuple(choices[group] for group in ("scenario", "split", "model", "ablation")))
+    cells = [
+        {**table.select, **row, **column}
+        for row, column in itertools.product(table.rows.values(), table.columns.values())
+    ]
+    assert swept == {(cell["scenario"], cell["split"], cell["model"], cell["ablation"]) for cell in cells}
+
+
+def test_every_table_has_a_sweep() -> None:
+    assert {path.stem for path in (ROOT / "conf" / "table").iterdir()} == {table.id for table in paper_tables()}

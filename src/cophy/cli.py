@@ -1,6 +1,7 @@
 """Errors a user can mend, in one line: what is wrong, where, and the nearest right spelling."""
 
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
@@ -39,6 +40,10 @@ def to_config(config: Any) -> Any:
 def explain(error: BaseException) -> str:
     """One line for an error of Hydra, OmegaConf or ours."""
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+    if row := re.match(
+        r"In '(ablation|row)/(\w+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)", str(error)
+    ):
+        return f"{row[1]}={row[2]} does not go with this model: {row[3]}"
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
         group, _, name = error.missing_cfg_file.rpartition("/")

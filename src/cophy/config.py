@@ -11,7 +11,7 @@ from omegaconf import MISSING
 
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
-from cophy.models.options import ConfounderSource, Gating
+from cophy.models.options import ConfounderInput, ConfounderSource, Decoding, Gating, Interaction
 from cophy.scenario import Balls, Blocktower, Collision
 from cophy.training.settings import Training
 
@@ -79,11 +79,13 @@ class TrainConfig(DataConfig):
     positions: str = MISSING
     data_seed: int = MISSING
     threads: int = MISSING
+    figures_every_n_epochs: int = MISSING
+    reuse: bool = MISSING
     ckpt: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _at_least(1, threads=self.threads)
+        _at_least(1, threads=self.threads, figures_every_n_epochs=self.figures_every_n_epochs)
         _at_least(0, data_seed=self.data_seed)
         if self.positions not in POSITIONS:
             raise ValueError(f"positions={self.positions} is not among {', '.join(POSITIONS)}")
@@ -101,12 +103,38 @@ class CoPhyNetConfig:
     temperature: float = MISSING
     confounders: ConfounderSource = MISSING
     gating: Gating = MISSING
+    interaction: Interaction = MISSING
+    decoding: Decoding = MISSING
+    num_frames: int | None = None
+    slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
 
     def __post_init__(self) -> None:
         if min(self.hidden_dim, self.gru_layers, self.node_layers) < 1 or self.edge_layers < 2:
             raise ValueError("model: hidden_dim, gru_layers and node_layers must be at least 1, edge_layers at least 2")
         if self.temperature <= 0:
             raise ValueError(f"model.temperature={self.temperature} must be positive")
+        if self.decoding is Decoding.single_step and self.num_frames is None:
+            raise ValueError("model.decoding=single_step needs model.num_frames, see conf/ablation/single_step.yaml")
+        if self.interaction is Interaction.mlp and not self.slots:
+            raise ValueError("model.interaction=mlp needs model.slots, see conf/ablation/mlp.yaml")
+
+
+@dataclass
+class InteractionNetworkConfig:
+    """cophy.models.interaction_network.InteractionNetwork, which explains its arguments."""
+
+    _target_: str = "cophy.models.interaction_network.InteractionNetwork"
+    hidden_dim: int = MISSING
+    edge_layers: int = MISSING
+    node_layers: int = MISSING
+    radius: float | None = MISSING
+    confounders: ConfounderInput | None = MISSING
+
+    def __post_init__(self) -> None:
+        if min(self.hidden_dim, self.node_layers) < 1 or self.edge_layers < 2:
+            raise ValueError("model: hidden_dim and node_layers must be at least 1, edge_layers at least 2")
+        if self.radius is not None and self.radius <= 0:
+            raise ValueError(f"model.radius={self.radius} must be positive, or null for all objects")
 
 
 @dataclass
@@ -128,6 +156,7 @@ class ReportConfig:
     """report.py. outputs: where train.py wrote its runs."""
 
     outputs: str = MISSING
+    data_dir: str = MISSING
     directory: str = MISSING
 
 
@@ -145,7 +174,12 @@ def register() -> None:
         "schema/scenario": {"blocktower": Blocktower, "balls": Balls, "collision": Collision},
         "schema/split": {"split": Split},
         "schema/size": {"size": Size},
-        "schema/model": {"cophynet": CoPhyNetConfig, "copy_c": CopyCConfig, "copy_b": CopyBConfig},
+        "schema/model": {
+            "cophynet": CoPhyNetConfig,
+            "interaction_network": InteractionNetworkConfig,
+            "copy_c": CopyCConfig,
+            "copy_b": CopyBConfig,
+        },
     }
     for group, nodes in groups.items():
         for name, node in nodes.items():

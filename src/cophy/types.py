@@ -13,22 +13,29 @@ CONFOUNDERS = (
     *("cylinder", "axis_x", "axis_y", "axis_z"),
 )
 
+# indices of the x and y components of its vectors
+HORIZONTAL = [[CONFOUNDERS.index(f"{vector}_{axis}") for axis in "xy"] for vector in ("gravity", "velocity", "axis")]
+
 
 class Batch(NamedTuple):
     """Experiments as models see them. Slots that hold no object are zero, and False in the masks.
 
     observed: (B, T, K, 3) positions of AB; observed_presence: (B, K) objects in AB.
     initial: (B, K, 3) positions in C; presence: (B, K) objects in CD.
+    observed_stable: (B, T-1, K) whether an object of AB stays below the stable speed from the frame before until this one.
     confounders: (B, K, 12) true confounders (see CONFOUNDERS), standardised over the training set; constant ones are zero.
+    confounder_class: (B, K, 2) index of the mass, and of the friction, among the values the scenario's grid has.
     target: (B, T-1, K, 3) positions of D, frames 1 ... T-1.
-    stable: (B, T-1, K) whether an object stays below the stable speed from the frame before until this one.
+    stable: (B, T-1, K) the same as observed_stable for D.
     """
 
     observed: Tensor
     observed_presence: Tensor
+    observed_stable: Tensor
     initial: Tensor
     presence: Tensor
     confounders: Tensor
+    confounder_class: Tensor
     target: Tensor
     stable: Tensor
 

@@ -2,30 +2,35 @@
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 from torch import Tensor, nn
 
-from cophy.models.cophynet import CoPhyNet
 from cophy.models.copying import CopyB, CopyC
 from cophy.training.losses import position_loss, stability_loss
+from cophy.training.run import build_network
 from cophy.types import Batch, Prediction
-from tests.conftest import settings
+from tests.conftest import composed
 
-ABLATIONS = ("full", "static_gating", "feedforward", "gt_confounders")
+ABLATIONS = ("full", "static_gating", "mlp", "single_step", "feedforward", "gt_confounders")
+BASELINES = ("in", "npe", "in gt_confounders", "copy_b", "copy_c")
 
 
-def cophynet(ablation: str = "full") -> CoPhyNet:
+def build(choice: str) -> nn.Module:
+    """The network of "model ablation" as conf/ has it, or of a CoPhyNet ablation."""
+    model, _, ablation = f"cophynet {choice}".partition(" ") if choice in ABLATIONS else choice.partition(" ")
+    config = composed("train", f"model={model}", f"ablation={ablation or 'full'}")
     torch.manual_seed(0)
-    model = vars(settings("train", f"ablation={ablation}").model)
-    arguments = {key: getattr(value, "value", value) for key, value in model.items() if key != "_target_"}
-    return CoPhyNet(**arguments)
+    return build_network(OmegaConf.to_container(config.model, resolve=True, enum_to_str=True))
 
 
-NETWORKS = {**{name: lambda name=name: cophynet(name) for name in ABLATIONS}, "copy_b": CopyB, "copy_c": CopyC}
-
-
-@pytest.fixture(params=NETWORKS)
+@pytest.fixture(params=[*(name for name in ABLATIONS if name != "mlp"), *BASELINES])
 def network(request: pytest.FixtureRequest) -> nn.Module:
-    return NETWORKS[request.param]()
+    return build(request.param)
+
+
+@pytest.fixture(params=[*ABLATIONS, *BASELINES])
+def any_network(request: pytest.FixtureRequest) -> nn.Module:
+    return build(request.param)
 
 
 def present(prediction: Prediction, batch: Batch) -> Tensor:
@@ -33,7 +38,7 @@ def present(prediction: Prediction, batch: Batch) -> Tensor:
 
 
 def permuted(batch: Batch, order: list[int]) -> Batch:
-    axes = {"observed": 2, "target": 2, "stable": 2}
+    axes = {"observed": 2, "observed_stable": 2, "target": 2, "stable": 2}
     return Batch(
         **{
             name: tensor.index_select(axes.get(name, 1), torch.tensor(order))
@@ -49,7 +54,14 @@ def test_permuting_objects_permutes_the_prediction(network: nn.Module, tower_bat
     torch.testing.assert_close(present(network(changed), changed), expected, atol=1e-5, rtol=1e-4)
 
 
-def test_absent_objects_change_nothing(network: nn.Module, tower_batch: Batch) -> None:
+def test_an_mlp_over_slots_is_the_one_that_is_not_equivariant(tower_batch: Batch) -> None:
+    network, order = build("mlp"), [2, 0, 3, 1]
+    expected = present(network(tower_batch), tower_batch).index_select(2, torch.tensor(order))
+    changed = permuted(tower_batch, order)
+    assert (present(network(changed), changed) - expected).abs().max() > 0.01
+
+
+def test_absent_objects_change_nothing(any_network: nn.Module, tower_batch: Batch) -> None:
     absent_ab, absent_cd = ~tower_batch.observed_presence, ~tower_batch.presence
     noise = Batch(*(torch.randn(tensor.shape) if tensor.is_floating_point() else tensor for tensor in tower_batch))
     noisy = tower_batch._replace(
@@ -57,65 +69,83 @@ def test_absent_objects_change_nothing(network: nn.Module, tower_batch: Batch) -
         initial=torch.where(absent_cd[..., None], noise.initial, tower_batch.initial),
         confounders=torch.where(absent_ab[..., None], noise.confounders, tower_batch.confounders),
     )
-    expected = present(network(tower_batch), tower_batch)
-    torch.testing.assert_close(present(network(noisy), tower_batch), expected, atol=1e-5, rtol=1e-4)
+    expected = present(any_network(tower_batch), tower_batch)
+    torch.testing.assert_close(present(any_network(noisy), tower_batch), expected, atol=1e-5, rtol=1e-4)
 
 
-def test_an_experiment_does_not_depend_on_its_batch(network: nn.Module, tower_batch: Batch) -> None:
+def test_an_experiment_does_not_depend_on_its_batch(any_network: nn.Module, tower_batch: Batch) -> None:
     alone = Batch(*(tensor[5:6] for tensor in tower_batch))
     torch.testing.assert_close(
-        present(network(alone), alone), present(network(tower_batch), tower_batch)[5:6], atol=1e-5, rtol=1e-4
+        present(any_network(alone), alone), present(any_network(tower_batch), tower_batch)[5:6], atol=1e-5, rtol=1e-4
     )
 
 
-@pytest.mark.parametrize("ablation", ABLATIONS)
-def test_every_parameter_gets_a_gradient(ablation: str, tower_batch: Batch) -> None:
-    network = cophynet(ablation)
+@pytest.mark.parametrize("choice", [*ABLATIONS, "in", "npe", "in gt_confounders"])
+def test_every_parameter_gets_a_gradient(choice: str, tower_batch: Batch) -> None:
+    network = build(choice)
     prediction = network(tower_batch)
-    (position_loss(prediction, tower_batch) + stability_loss(prediction.stable_logit, tower_batch)).backward()
+    loss = position_loss(prediction, tower_batch)
+    if prediction.stable_logit is not None:
+        loss = loss + stability_loss(prediction.stable_logit, tower_batch)
+    loss.backward()
     without = [
         name for name, parameter in network.named_parameters() if parameter.grad is None or not parameter.grad.any()
     ]
     assert not without
 
 
-def test_feedforward_cannot_tell_twins_apart(tower_batch: Batch) -> None:
-    position = cophynet("feedforward")(tower_batch).position
+@pytest.mark.parametrize("choice", ["feedforward", "in", "npe"])
+def test_what_never_sees_ab_cannot_tell_twins_apart(choice: str, tower_batch: Batch) -> None:
+    position = build(choice)(tower_batch).position
     torch.testing.assert_close(position[::2], position[1::2])
 
 
-@pytest.mark.parametrize("ablation", ["full", "static_gating"])
+@pytest.mark.parametrize("ablation", ["full", "static_gating", "mlp", "single_step"])
 def test_counterfactual_models_read_ab(ablation: str, tower_batch: Batch) -> None:
-    position = cophynet(ablation)(tower_batch).position
+    position = build(ablation)(tower_batch).position
     assert (position[::2] - position[1::2]).abs().max() > 1e-6
 
 
-def test_true_confounders_replace_ab(tower_batch: Batch) -> None:
-    network = cophynet("gt_confounders")
+@pytest.mark.parametrize("choice", ["gt_confounders", "in gt_confounders"])
+def test_true_confounders_replace_ab(choice: str, tower_batch: Batch) -> None:
+    network = build(choice)
     blind = tower_batch._replace(observed=torch.zeros_like(tower_batch.observed))
     torch.testing.assert_close(network(blind).position, network(tower_batch).position)
 
 
 def test_static_gating_decides_once(tower_batch: Batch) -> None:
-    assert cophynet("static_gating")(tower_batch).stable_logit.shape[1] == 1
-    assert cophynet("full")(tower_batch).stable_logit.shape[1] == 29
+    assert build("static_gating")(tower_batch).stable_logit.shape[1] == 1
+    assert build("full")(tower_batch).stable_logit.shape[1] == 29
 
 
 def test_an_object_sure_to_be_stable_stays(tower_batch: Batch) -> None:
-    network = cophynet()
-    nn.init.zeros_(network.stable_logit.weight)
-    nn.init.constant_(network.stable_logit.bias, 50.0)
+    network = build("full")
+    nn.init.zeros_(network.decoder.stable_logit.weight)
+    nn.init.constant_(network.decoder.stable_logit.bias, 50.0)
     position = present(network(tower_batch), tower_batch)
     torch.testing.assert_close(position, present(CopyC()(tower_batch), tower_batch))
+
+
+def test_npe_hears_only_those_within_its_radius(tower_batch: Batch) -> None:
+    """Blocks moved 100 m apart: for IN the others matter, for NPE they might as well not be there."""
+    apart = 100.0 * torch.arange(4.0)[:, None] * torch.tensor([1.0, 0.0, 0.0])
+    far = tower_batch._replace(initial=tower_batch.initial + apart)
+    shifted = far._replace(initial=far.initial + 5 * torch.eye(4)[0][:, None])  # one colour moves, by 5 m
+    for name, hears in (("npe", False), ("in", True)):
+        network = build(name)
+        moved = (network(shifted).position - network(far).position)[:, :, 1:]
+        assert bool(moved.abs().max() > 1e-3) == hears
 
 
 def test_copies_copy(tower_batch: Batch) -> None:
     torch.testing.assert_close(CopyC()(tower_batch).position[:, 17], tower_batch.initial)
     torch.testing.assert_close(CopyB()(tower_batch).position, tower_batch.observed[:, 1:])
+    assert (CopyC()(tower_batch).stable_logit > 0).all()
+    assert ((CopyB()(tower_batch).stable_logit > 0) == tower_batch.observed_stable).all()
 
 
 def test_cophynet_overfits_one_batch(tower_batch: Batch) -> None:
-    network, batch = cophynet(), Batch(*(tensor[:8] for tensor in tower_batch))
+    network, batch = build("full"), Batch(*(tensor[:8] for tensor in tower_batch))
     optimizer = torch.optim.Adam(network.parameters(), lr=0.001)
     for _ in range(400):
         loss = position_loss(network(batch), batch)

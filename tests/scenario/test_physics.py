@@ -10,7 +10,7 @@ from cophy.scenario.surroundings import floor, walls
 
 CLOCK = Clock(num_frames=30, frame_rate_hz=5, state_rate_hz=20)
 IMPACTS = Solver(step_rate_hz=240, iterations=50, elastic_impacts=True)  # as balls and collision
-TOWERS = Solver(step_rate_hz=240, iterations=200, elastic_impacts=False)  # as blocktower
+TOWERS = Solver(step_rate_hz=240, iterations=100, elastic_impacts=False)  # as blocktower
 G = 10.0
 
 

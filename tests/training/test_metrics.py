@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from cophy.training.losses import position_loss, stability_loss, stability_target
-from cophy.training.metrics import position_metrics, stability_metrics
+from cophy.scenario import Camera, Task
+from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
+from cophy.training.metrics import collection, pixel_measures, position_measures, stability_measures
 from cophy.types import Batch, Prediction
 
 
@@ -14,7 +15,15 @@ def batch() -> Batch:
     target = torch.zeros(2, 2, 2, 3)
     stable = torch.tensor([[[1, 0], [1, 1]], [[0, 1], [0, 0]]], dtype=torch.bool)
     return Batch(
-        torch.zeros(2, 3, 2, 3), presence, torch.zeros(2, 2, 3), presence, torch.zeros(2, 2, 12), target, stable
+        observed=torch.zeros(2, 3, 2, 3),
+        observed_presence=presence,
+        observed_stable=stable,
+        initial=torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]]),
+        presence=presence,
+        confounders=torch.zeros(2, 2, 12),
+        confounder_class=torch.tensor([[[0, 0], [1, 1]], [[9, 9], [1, 0]]]),
+        target=target,
+        stable=stable,
     )
 
 
@@ -25,6 +34,14 @@ def prediction() -> Prediction:
     position[1, 1, 1] = torch.tensor([0.0, 0.0, 6.0])  # second experiment
     position[1, :, 0] = 1000.0  # empty slot
     return Prediction(position, torch.tensor([[[9.0, 9.0], [-9.0, 9.0]], [[-9.0, 9.0], [9.0, 9.0]]]))
+
+
+def position_metrics(dims: int):
+    return collection(position_measures(Task(dims, stable_speed=0.1, by_height=False, splits=[])), prefix="")
+
+
+def stability_metrics():
+    return collection(stability_measures(), prefix="")
 
 
 def computed(metrics) -> dict[str, float]:
@@ -50,6 +67,39 @@ def test_stability_accuracy_and_its_base_rate() -> None:
     values = computed(stability_metrics())
     assert values["stability_accuracy"] == pytest.approx((2 / 4 + 1 / 2) / 2)
     assert values["stability_base_rate"] == pytest.approx((3 / 4 + 1 / 2) / 2)
+
+
+def test_whole_sequence_stability_asks_for_every_step() -> None:
+    """First experiment: said to move / to stay, truly stays / moves: none right. Second: both say it moves."""
+    stays = prediction()._replace(stable_logit=torch.tensor([[[9.0, 9.0], [-9.0, 9.0]], [[9.0, 9.0], [9.0, -9.0]]]))
+    values = [metric.value_of(stays, batch()) for metric in stability_metrics().values()]
+    names = list(stability_metrics())
+    assert values[names.index("sequence_stability_accuracy")].tolist() == [0.0, 1.0]
+
+
+def test_pixel_error_of_each_object_by_its_height_in_c() -> None:
+    """A camera 10 m away that sees 90 degrees: one metre at the target's depth is 22.4 of 448 pixels."""
+    camera = Camera(eye=[0.0, -10.0, 0.0], target=[0.0, 0.0, 0.0], field_of_view_deg=90.0)
+    measures = pixel_measures(Task(3, 0.1, by_height=True, splits=[]), camera, num_objects=2)
+    position = torch.zeros(2, 2, 2, 3)
+    position[0, -1, 0], position[0, -1, 1] = torch.tensor([1.0, 0, 0]), torch.tensor([0, 0, -2.0])
+    position[1, -1, 1] = torch.tensor([0.0, 10.0, 3.0])  # twice as far away
+    values = {name: measure(Prediction(position), batch()) for name, measure in measures.items()}
+    assert values["pixel_error"].tolist() == pytest.approx([(22.4 + 44.8) / 2, 33.6])
+    assert values["pixel_error_1"].tolist() == pytest.approx([44.8, 33.6])
+    assert values["pixel_error_2"].tolist() == pytest.approx([22.4, float("nan")], nan_ok=True)
+
+
+def test_confounder_loss_is_over_the_objects_of_ab() -> None:
+    mass = torch.tensor([[[9.0, -9.0], [9.0, -9.0]], [[0.0, 0.0], [-9.0, 9.0]]])  # right, wrong by 18, -, right
+    friction = torch.zeros(2, 2, 2)  # undecided: log 2
+    expected = 18 / 3 + torch.log(torch.tensor(2.0))
+    torch.testing.assert_close(
+        confounder_loss([mass, friction], batch()._replace(confounder_class=batch().confounder_class.clamp(max=1))),
+        expected,
+        atol=1e-4,
+        rtol=0,
+    )
 
 
 def test_every_experiment_counts_once_whatever_its_batch() -> None:

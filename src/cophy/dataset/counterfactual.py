@@ -7,7 +7,8 @@ from torch.utils.data import BatchSampler, DataLoader, Dataset, RandomSampler, S
 
 from cophy.dataset.splits import SPLITS, Part
 from cophy.scenario import Scenario, Shape
-from cophy.types import Batch
+from cophy.scenario.confounders import ConfounderGrid
+from cophy.types import HORIZONTAL, Batch
 
 
 class CounterfactualDataset(Dataset[Batch]):
@@ -34,14 +35,19 @@ def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
     stride = scenario.clock.states_per_frame
     positions = torch.from_numpy(arrays["states"][:, :, ::stride, :, :3].copy())
     observed_presence, presence = torch.from_numpy(arrays["presence"]).unbind(1)
+    observed_stable, stable = (
+        _stable(states, stride, scenario.task.stable_speed) for states in np.moveaxis(arrays["states"], 1, 0)
+    )
     return Batch(
         observed=positions[:, 0],
         observed_presence=observed_presence,
+        observed_stable=observed_stable,
         initial=positions[:, 1, 0],
         presence=presence,
         confounders=_confounders(arrays),
+        confounder_class=_confounder_class(arrays, scenario.confounders),
         target=positions[:, 1, 1:],
-        stable=_stable(arrays["states"][:, 1], stride, scenario.task.stable_speed),
+        stable=stable,
     )
 
 
@@ -52,10 +58,15 @@ def select(arrays: dict[str, np.ndarray], part: Part, split: str) -> dict[str, n
 
 
 def confounder_statistics(train: Batch) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation (1 for constants) of each confounder over the objects of the training set."""
+    """Mean and standard deviation (1 for constants) of each confounder over the objects of the training set.
+
+    Horizontal components of vectors share theirs, with mean 0, so that a turned vector is turned after scaling too.
+    """
     values = train.confounders[train.observed_presence]
-    deviation = values.std(dim=0)
-    return values.mean(dim=0), torch.where(deviation > 0, deviation, 1.0)
+    mean, deviation = values.mean(dim=0), values.std(dim=0)
+    for columns in HORIZONTAL:
+        mean[columns], deviation[columns] = 0.0, values[:, columns].square().mean().sqrt()
+    return mean, torch.where(deviation > 0, deviation, 1.0)
 
 
 def standardise(batch: Batch, statistics: tuple[Tensor, Tensor]) -> Batch:
@@ -73,6 +84,15 @@ def _confounders(arrays: dict[str, np.ndarray]) -> Tensor:
     shape = arrays["shape"][..., None]
     features = [per_object, gravity, initial[..., 7:10], shape == Shape.CYLINDER, _axis(initial[..., 3:7], shape)]
     return torch.from_numpy(np.concatenate(features, axis=-1, dtype=np.float32))
+
+
+def _confounder_class(arrays: dict[str, np.ndarray], grid: ConfounderGrid) -> Tensor:
+    """(experiment, slot, 2) nearest value of the grid: mass, friction."""
+    nearest = [
+        np.abs(arrays[name][..., None] - np.array(values)).argmin(axis=-1)
+        for name, values in (("mass", grid.mass), ("friction", grid.friction))
+    ]
+    return torch.from_numpy(np.stack(nearest, axis=-1))
 
 
 def _axis(quaternion_xyzw: np.ndarray, shape: np.ndarray) -> np.ndarray:

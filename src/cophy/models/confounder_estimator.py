@@ -2,24 +2,25 @@
 
 from torch import Tensor, nn
 
-from cophy.models.graph import GraphConvolution, fully_connected
+from cophy.models.graph import fully_connected
 
 
 class ConfounderEstimator(nn.Module):
-    """Observed AB -> GCN per frame -> GRU per object over time -> its last hidden state, u^k.
+    """Observed AB -> interactions per frame -> GRU per object over time -> its last hidden state, u^k.
 
-    All frames go through the graph network at once; the recurrent network is shared by all objects.
+    interactions: from nodes (N, K, 3) and a graph to (N, K, hidden). All frames go through it at once; the recurrent
+    network is shared by all objects.
     """
 
-    def __init__(self, *, hidden_dim: int, gru_layers: int, edge_layers: int, node_layers: int) -> None:
+    def __init__(self, interactions: nn.Module, *, hidden_dim: int, gru_layers: int) -> None:
         super().__init__()
-        self.graph = GraphConvolution(3, hidden_dim, edge_layers=edge_layers, node_layers=node_layers)
+        self.interactions = interactions
         self.gru = nn.GRU(hidden_dim, hidden_dim, gru_layers, batch_first=True)
 
     def forward(self, observed: Tensor, presence: Tensor) -> Tensor:
         """(B, T, K, 3), (B, K) -> U (B, K, hidden)."""
         batch, time, slots, _ = observed.shape
         graph = fully_connected(presence.repeat_interleave(time, dim=0))
-        nodes = self.graph(observed.flatten(0, 1), graph).unflatten(0, (batch, time))
+        nodes = self.interactions(observed.flatten(0, 1), graph).unflatten(0, (batch, time))
         _, hidden = self.gru(nodes.transpose(1, 2).flatten(0, 1))
         return hidden[-1].unflatten(0, (batch, slots))

@@ -1,27 +1,29 @@
 """CoPhyNet (paper Sec. 4): predict D from C and what AB tells about the confounders.
 
-    observed AB --GCN per frame, GRU over time--> confounders U --+
-                                                                  |
-    initial C --> [o_t, u] --GCN--> stability s_t ----------------+--> o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t
-                      |                                           |
-                      +------GCN, GRU over time, linear--> Δ_t ---+
-
-Differs from the paper: the decoder's nodes are [o, u] for the object itself too, as in the paper's own stability
-network (its equation gives the neighbours u but not the object).
+observed AB --GCN per frame, GRU over time--> confounders U --+
+                                                              |
+initial C --> [o_t, u] --GCN--> stability s_t ----------------+--> o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t
+                  |                                           |
+                  +------GCN, GRU over time, linear--> Δ_t ---+
 """
 
-import torch
 from torch import Tensor, nn
 
+from cophy.models.concatenation import Concatenation
 from cophy.models.confounder_estimator import ConfounderEstimator
-from cophy.models.graph import Graph, GraphConvolution, fully_connected
-from cophy.models.options import ConfounderSource, Gating
+from cophy.models.decoders import Rollout, SingleStep
+from cophy.models.graph import GraphConvolution
+from cophy.models.options import ConfounderSource, Decoding, Gating, Interaction
 from cophy.models.packing import pack, unpack
 from cophy.types import CONFOUNDERS, Batch, Prediction
 
 
 class CoPhyNet(nn.Module):
-    """The counterfactual predictor. K-agnostic and equivariant to the order of objects."""
+    """The counterfactual predictor and its ablations; with graph interactions K-agnostic and permutation equivariant.
+
+    confounders, gating, interaction, decoding: see `options`. num_frames: T, of a single-step decoder; slots: names of
+    the colour slots, of MLP interactions.
+    """
 
     def __init__(
         self,
@@ -33,53 +35,48 @@ class CoPhyNet(nn.Module):
         temperature: float,
         confounders: str,
         gating: str,
+        interaction: str,
+        decoding: str,
+        num_frames: int | None = None,
+        slots: list[str] | None = None,
     ) -> None:
         super().__init__()
-        self.source, self.gating = ConfounderSource(confounders), Gating(gating)
-        self.temperature, self.hidden_dim = temperature, hidden_dim
-        layers = {"edge_layers": edge_layers, "node_layers": node_layers}
+        self.source, self.interaction = ConfounderSource(confounders), Interaction(interaction)
+
+        def interactions(input_dim: int) -> nn.Module:
+            if self.interaction is Interaction.mlp:
+                assert slots is not None
+                return Concatenation(input_dim, hidden_dim, layers=edge_layers, num_slots=len(slots))
+            return GraphConvolution(input_dim, hidden_dim, edge_layers=edge_layers, node_layers=node_layers)
+
         if self.source is ConfounderSource.estimated:
-            self.estimator = ConfounderEstimator(hidden_dim=hidden_dim, gru_layers=gru_layers, **layers)
-        confounder_dim = {"estimated": hidden_dim, "ground_truth": len(CONFOUNDERS), "none": 0}[self.source.value]
-        self.stability = GraphConvolution(3 + confounder_dim, hidden_dim, **layers)
-        self.stable_logit = nn.Linear(hidden_dim, 1)
-        self.dynamics = GraphConvolution(3 + confounder_dim, hidden_dim, **layers)
-        self.gru = nn.ModuleList(nn.GRUCell(hidden_dim, hidden_dim) for _ in range(gru_layers))
-        self.displacement = nn.Linear(hidden_dim, 3)
+            self.estimator = ConfounderEstimator(interactions(3), hidden_dim=hidden_dim, gru_layers=gru_layers)
+        self.estimate_dim = hidden_dim if self.source is ConfounderSource.estimated else 0
+        confounder_dim = {"estimated": hidden_dim, "ground_truth": len(CONFOUNDERS), "none": 0}[confounders]
+        sizes = {"input_dim": 3 + confounder_dim, "hidden_dim": hidden_dim}
+        self.decoder: nn.Module
+        if Decoding(decoding) is Decoding.single_step:
+            assert num_frames is not None
+            self.decoder = SingleStep(interactions, temperature=temperature, horizon=num_frames - 1, **sizes)
+        else:
+            self.decoder = Rollout(
+                interactions, gru_layers=gru_layers, temperature=temperature, gating=Gating(gating), **sizes
+            )
 
     def forward(self, batch: Batch) -> Prediction:
-        """Roll D out from C, one step per frame of AB after the first."""
+        """Predict D, one step per frame of AB after the first."""
+        if self.interaction is Interaction.mlp:
+            return self._predict(batch)
         packed, slots = pack(batch)
-        confounders = self.confounders(packed)
-        position, stable_logit = self.rollout(packed, confounders, horizon=batch.observed.shape[1] - 1)
-        estimate = confounders if self.source is ConfounderSource.estimated else None
-        return unpack(Prediction(position, stable_logit, estimate), slots, batch.initial.shape[1])
+        return unpack(self._predict(packed), slots, batch.initial.shape[1])
+
+    def _predict(self, batch: Batch) -> Prediction:
+        confounders = self.confounders(batch)
+        position, stable_logit = self.decoder(batch, confounders, batch.observed.shape[1] - 1)
+        return Prediction(position, stable_logit, confounders if self.source is ConfounderSource.estimated else None)
 
     def confounders(self, batch: Batch) -> Tensor:
         """(B, K, U): estimated from AB, given, or of width 0."""
         if self.source is ConfounderSource.estimated:
             return self.estimator(batch.observed, batch.observed_presence)
         return batch.confounders if self.source is ConfounderSource.ground_truth else batch.confounders[..., :0]
-
-    def rollout(self, batch: Batch, confounders: Tensor, *, horizon: int) -> tuple[Tensor, Tensor]:
-        """Positions (B, horizon, K, 3) and stability logits (B, horizon or 1, K), each step fed by the one before."""
-        graph = fully_connected(batch.presence)
-        position = batch.initial
-        hidden = [position.new_zeros(*position.shape[:2], self.hidden_dim) for _ in self.gru]
-        positions, logits = [], []
-        for step in range(horizon):
-            nodes = torch.cat([position, confounders], dim=-1)
-            if step == 0 or self.gating is Gating.per_step:
-                logits.append(self.stable_logit(self.stability(nodes, graph)))
-            displacement, hidden = self.step(nodes, graph, hidden)
-            position = position + torch.sigmoid((1 - logits[-1]) / self.temperature) * displacement
-            positions.append(position)
-        return torch.stack(positions, dim=1), torch.stack(logits, dim=1).squeeze(-1)
-
-    def step(self, nodes: Tensor, graph: Graph, hidden: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
-        """Displacement Δ_t (B, K, 3) before gating, and the next hidden states."""
-        features, states = self.dynamics(nodes, graph), []
-        for cell, state in zip(self.gru, hidden, strict=True):
-            features = cell(features.flatten(0, 1), state.flatten(0, 1)).view_as(state)
-            states.append(features)
-        return self.displacement(features), states

@@ -4,11 +4,17 @@ from enum import Enum
 
 
 class ConfounderSource(Enum):
-    """Where a predictor's confounders come from: AB, the ground truth, or nowhere (a feedforward model)."""
+    """Where CoPhyNet's confounders come from: AB, the ground truth, or nowhere (a feedforward model)."""
 
     estimated = "estimated"
     ground_truth = "ground_truth"
     none = "none"
+
+
+class ConfounderInput(Enum):
+    """What a model that never sees AB may be given besides C (or null: nothing)."""
+
+    ground_truth = "ground_truth"
 
 
 class Gating(Enum):
@@ -16,3 +22,17 @@ class Gating(Enum):
 
     per_step = "per_step"
     static = "static"
+
+
+class Interaction(Enum):
+    """How objects hear of each other: graph convolution, or an MLP over the concatenated slots (paper Table 6 left)."""
+
+    graph = "graph"
+    mlp = "mlp"
+
+
+class Decoding(Enum):
+    """How D is predicted: step by step, or all of it at once (paper Table 6 left)."""
+
+    autoregressive = "autoregressive"
+    single_step = "single_step"

@@ -31,9 +31,11 @@ def unpack(prediction: Prediction, slots: Tensor, num_slots: int) -> Prediction:
 _SLOT_AXIS = {
     "observed": 2,
     "observed_presence": 1,
+    "observed_stable": 2,
     "initial": 1,
     "presence": 1,
     "confounders": 1,
+    "confounder_class": 1,
     "target": 2,
     "stable": 2,
 }

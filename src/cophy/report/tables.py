@@ -1,38 +1,71 @@
 """One table per paper table: each cell ours, with the paper's number beside it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import yaml
 
-from cophy.report.runs import COUNTS, NAMES
-
-MISSING = "—"
+MISSING, FAILED = "—", "failed"
 
 
 @dataclass(frozen=True)
 class PaperTable:
-    """A table of the paper, as paper_tables.yaml describes it: rows are splits, columns are models."""
+    """A table of the paper, as paper_tables.yaml describes it."""
 
     id: str
     title: str
-    scenario: str
-    metric: str
-    rows: dict[str, str]  # split -> label
-    columns: dict[str, dict[str, str]]  # label -> model and ablation
-    paper: dict[str, list[float | None]]  # split -> the paper's numbers, in the order of the columns
+    select: dict[str, str]
+    rows: dict[str, dict[str, str]]  # label -> what the row adds to `select`
+    columns: dict[str, dict[str, str]]
+    paper: list[list[float | None]]
+    methods: str | None  # "rows", "columns", or None where nothing competes
+    bounds: list[str] = field(default_factory=list)
+    lower_is_better: bool = True
+    scale: float = 1.0
+    digits: int = 3
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class FilledTable:
-    """A paper table with our numbers: `cells` to read, `values` to compute with (split and column labels)."""
+    """A paper table with our numbers.
+
+    values: one line per cell (row, column, ours, sd over seeds, low and high of the 95 % interval, seeds, failed, paper,
+    best), in the table's own unit.
+    """
 
     table: PaperTable
-    cells: pd.DataFrame
     values: pd.DataFrame
     caption: str
+
+    def cells(self, bold: tuple[str, str] = ("", "")) -> pd.DataFrame:
+        """To read: rows × columns of "ours / the paper's", the best between the two strings of `bold`."""
+        texts = [self._text(value, bold) for value in self.values.to_dict("records")]
+        wide = self.values.assign(text=texts).pivot(index="row", columns="column", values="text")
+        wide = wide.loc[list(self.table.rows), list(self.table.columns)]
+        wide.columns.name = wide.index.name = None
+        return wide
+
+    def _text(self, value: dict[Any, Any], bold: tuple[str, str]) -> str:
+        def number(x: float) -> str:
+            return f"{x:.{self.table.digits}f}"
+
+        paper = MISSING if pd.isna(value["paper"]) else number(value["paper"])
+        if not value["seeds"]:
+            return f"{FAILED if value['failed'] else MISSING} / {paper}"
+        spread = (
+            f"± {number(value['sd'])}" if value["seeds"] > 1 else f"[{number(value['low'])}, {number(value['high'])}]"
+        )
+        ours = number(value["ours"])
+        failed = f" ({value['failed']} failed)" if value["failed"] else ""
+        return (
+            f"{bold[0]}{ours}{bold[1]} {spread}{failed} / {paper}"
+            if value["best"]
+            else f"{ours} {spread}{failed} / {paper}"
+        )
 
 
 def paper_tables() -> list[PaperTable]:
@@ -42,45 +75,33 @@ def paper_tables() -> list[PaperTable]:
 
 
 def fill(table: PaperTable, runs: pd.DataFrame) -> FilledTable:
-    """Put runs (see `read_runs`) into a table: mean over seeds, ± standard deviation where there are several."""
-    cells, values, used = [], [], []
-    for split, label in table.rows.items():
-        for (column, choice), printed in zip(table.columns.items(), table.paper[split], strict=True):
-            found = _select(runs, scenario=table.scenario, split=split, positions="ground_truth", **choice)
-            found = found[found["num_train"] == found["num_train"].max()] if len(found) else found  # one size per cell
+    """Put runs (see `read_runs`) into a table: mean over seeds, and how far it can be trusted."""
+    values, used = [], []
+    for (row, in_row), printed in zip(table.rows.items(), table.paper, strict=True):
+        for (column, in_column), paper in zip(table.columns.items(), printed, strict=True):
+            choice = {**table.select, **in_row, **in_column}
+            metric = choice.pop("metric")
+            found = select(runs, positions="ground_truth", **choice)
+            failed = int(found["error"].notna().sum()) if len(found) else 0
+            found = found[found[metric].notna()] if metric in found else found.iloc[:0]
+            if len(found):
+                found = found[found["num_train"] == found["num_train"].max()]  # one size per cell
             used.append(found)
-            ours = found[table.metric] if len(found) else pd.Series(dtype=float)
-            cells.append({"train → test": label, "column": column, "cell": f"{_show(ours)} / {_paper(printed)}"})
-            values.append(
-                {
-                    "split": split,
-                    "column": column,
-                    "ours": ours.mean(),
-                    "sd": ours.std(),
-                    "seeds": len(ours),
-                    "paper": printed,
-                }
-            )
-    wide = pd.DataFrame(cells).pivot(index="train → test", columns="column", values="cell")
-    wide = wide.loc[list(table.rows.values()), list(table.columns)]
-    wide.columns.name = None
-    return FilledTable(table, wide, pd.DataFrame(values), _caption(table, pd.concat(used)))
+            numbers = {
+                "ours": found[metric].mean(),
+                "sd": found[metric].std(),
+                "low": found[f"{metric}_low"].mean(),
+                "high": found[f"{metric}_high"].mean(),
+            } if len(found) else dict.fromkeys(("ours", "sd", "low", "high"), np.nan)  # fmt: skip
+            scaled = {name: table.scale * value for name, value in numbers.items()}
+            counts = {"seeds": len(found), "failed": failed, "paper": paper}
+            values.append({"row": row, "column": column, **scaled, **counts})
+    frame = pd.DataFrame(values)
+    return FilledTable(table, frame.assign(best=_best(table, frame)), _caption(table, pd.concat(used)))
 
 
-def summary(runs: pd.DataFrame) -> pd.DataFrame:
-    """Every row that was run: each test metric, mean over seeds, ± standard deviation where there are several."""
-    if runs.empty:
-        return pd.DataFrame()
-    names = ["scenario", "split", "model", "ablation", "positions", "size"]
-    metrics = [column for column in runs.columns if column not in (*NAMES, *COUNTS, "epochs")]
-    rows = []
-    for choice, found in runs.groupby(names):
-        where = " ".join(str(name) for name in choice)
-        rows.append({"run": where} | {metric.replace("_", " "): _show(found[metric].dropna()) for metric in metrics})
-    return pd.DataFrame(rows)
-
-
-def _select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
+def select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
+    """The runs of these names."""
     if runs.empty:
         return runs
     chosen = pd.Series(True, index=runs.index)
@@ -89,18 +110,19 @@ def _select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
     return runs[chosen]
 
 
-def _show(values: "pd.Series[float]") -> str:
-    if values.empty:
-        return MISSING
-    return f"{values.mean():.3f}" if len(values) == 1 else f"{values.mean():.3f} ± {values.std():.3f}"
-
-
-def _paper(value: float | None) -> str:
-    return MISSING if value is None else f"{value:.3f}"
+def _best(table: PaperTable, values: pd.DataFrame) -> "pd.Series[bool]":
+    """Which cells are the best of the methods they compete with."""
+    if table.methods is None:
+        return pd.Series(False, index=values.index)
+    method, other = ("row", "column") if table.methods == "rows" else ("column", "row")
+    comparable = values["ours"].where(~values[method].isin(table.bounds))
+    best = comparable.groupby(values[other]).transform("min" if table.lower_is_better else "max")
+    return comparable.eq(best) & comparable.notna()
 
 
 def _caption(table: PaperTable, used: pd.DataFrame) -> str:
-    notes = ["Each cell: ours / the paper's. Lower is better."]
+    better = "Lower" if table.lower_is_better else "Higher"
+    notes = [f"Each cell: ours / the paper's. {better} is better."]
     if used.empty:
         return " ".join([*notes, "Nothing was run yet."])
     values = {
@@ -108,8 +130,9 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
     }
     size, num_train, num_test, epochs, seeds = (", ".join(map(str, chosen)) for chosen in values.values())
     notes.append(f"Size {size}: {num_train} training and {num_test} test experiments; {epochs} epochs; seeds {seeds}.")
+    notes.append("[ ]: 95 % bootstrap interval over test experiments; ±: standard deviation over seeds.")
     if "gt_confounders" in used["ablation"].to_numpy():
         notes.append(
             "Where the true confounders are given, they include what positions hide: initial velocity, shape and orientation."
         )
-    return " ".join(notes)
+    return " ".join([*notes, table.note]).strip()

@@ -8,6 +8,7 @@ from cophy.scenario.do_operations import Displace, DoOperation, Remove
 from cophy.scenario.scene import Body, Scene, Shape
 from cophy.scenario.search import SimulatedSearch
 from cophy.scenario.surroundings import floor, walls
+from cophy.scenario.symmetry import square
 
 
 @dataclass
@@ -32,6 +33,10 @@ class Balls(SimulatedSearch):
     @classmethod
     def num_cells(cls) -> int:
         return 1
+
+    @classmethod
+    def symmetries(cls) -> np.ndarray:
+        return square()
 
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
         reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2

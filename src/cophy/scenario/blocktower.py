@@ -19,6 +19,7 @@ from cophy.scenario.scenario import Scenario, TwinPair
 from cophy.scenario.scene import Body, Scene, Shape, Trajectory, trajectory_distance
 from cophy.scenario.stability import tower_margins
 from cophy.scenario.surroundings import floor
+from cophy.scenario.symmetry import square
 
 # how hard a search tries; other values find other experiments, so raise dataset.spec.FORMAT_VERSION with them
 TOWERS_PER_BATCH = 1024
@@ -54,6 +55,10 @@ class Blocktower(Scenario):
     @classmethod
     def num_cells(cls) -> int:
         return len(CELLS)
+
+    @classmethod
+    def symmetries(cls) -> np.ndarray:
+        return square()
 
     def search(
         self, assignment: Assignment, slots: tuple[int, ...], rng: np.random.Generator, simulator: Simulator

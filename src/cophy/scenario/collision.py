@@ -8,6 +8,7 @@ from cophy.scenario.do_operations import Displace, DoOperation
 from cophy.scenario.scene import Body, Scene, Shape
 from cophy.scenario.search import SimulatedSearch
 from cophy.scenario.surroundings import floor
+from cophy.scenario.symmetry import mirror
 
 # (moving, static): shapes of the two objects, one cell each
 CELLS = tuple(
@@ -39,6 +40,10 @@ class Collision(SimulatedSearch):
     @classmethod
     def num_cells(cls) -> int:
         return len(CELLS)
+
+    @classmethod
+    def symmetries(cls) -> np.ndarray:
+        return mirror()
 
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
         moving, static = CELLS[cell]

@@ -7,6 +7,7 @@ import numpy as np
 
 from cophy.errors import CophyError
 from cophy.scenario.assignment import Assignment, assign
+from cophy.scenario.camera import Camera
 from cophy.scenario.confounders import ConfounderGrid
 from cophy.scenario.do_operations import DoOperation
 from cophy.scenario.experiment import Experiment, with_confounders
@@ -15,24 +16,17 @@ from cophy.scenario.scene import Scene, Trajectory
 
 
 @dataclass
-class Camera:
-    """Fixed camera of a scenario, in metres and degrees (vertical field of view)."""
-
-    eye: list[float]
-    target: list[float]
-    field_of_view_deg: float
-
-
-@dataclass
 class Task:
     """How predictions on this scenario are judged; changes no data.
 
     metric_dims: coordinates that count in the MSE (balls: x and y). stable_speed: an object slower than this (m/s)
-    is stable. splits: the names `split=` takes, the default first.
+    is stable. by_height: whether the pixel error is also given per object, from the lowest in C up (paper Table 1).
+    splits: the names `split=` takes, the default first.
     """
 
     metric_dims: int
     stable_speed: float
+    by_height: bool
     splits: list[str]
 
 
@@ -80,6 +74,11 @@ class Scenario(ABC):
     @abstractmethod
     def num_cells(cls) -> int:
         """How many cells the pairs of one block go through (see `assignment`)."""
+
+    @classmethod
+    @abstractmethod
+    def symmetries(cls) -> np.ndarray:
+        """(symmetry, 2, 2) matrices on (x, y) that turn an experiment into one as likely; the first is the identity."""
 
     @abstractmethod
     def search(

@@ -1,7 +1,9 @@
-"""The two terms of the paper's training loss (Sec. 4.2, Training), as means over what is present."""
+"""The terms of the training loss (paper Sec. 4.2, Training), as means over what is present."""
+
+from collections.abc import Sequence
 
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits
+from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
 from cophy.types import Batch, Prediction
 
@@ -26,3 +28,13 @@ def stability_loss(logit: Tensor, batch: Batch) -> Tensor:
 def stability_target(logit: Tensor, batch: Batch) -> Tensor:
     """True stability per step; where the logit stands for the whole sequence, whether the object is always stable."""
     return batch.stable if logit.shape[1] == batch.stable.shape[1] else batch.stable.all(dim=1, keepdim=True)
+
+
+def confounder_loss(logits: Sequence[Tensor], batch: Batch) -> Tensor:
+    """Cross entropy of mass and of friction, summed, mean over the objects of AB (paper Table 6 middle, supervision).
+
+    logits: for each confounder of `Batch.confounder_class`, (B, K, number of its values).
+    """
+    classes = batch.confounder_class[batch.observed_presence].unbind(-1)
+    terms = [cross_entropy(logit[batch.observed_presence], value) for logit, value in zip(logits, classes, strict=True)]
+    return sum(terms[1:], terms[0])

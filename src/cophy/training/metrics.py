@@ -4,11 +4,13 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
-from torchmetrics import MeanMetric, MetricCollection
+from torchmetrics import MeanMetric, Metric, MetricCollection
 
+from cophy.scenario import Camera, Task
 from cophy.types import Batch, Prediction
 
-PerExperiment = Callable[[Prediction, Batch], Tensor]
+PerExperiment = Callable[[Prediction, Batch], Tensor]  # -> (B,)
+RESOLUTION = 448  # paper Table 1: pixel errors are given at 448 x 448
 
 
 class ExperimentMean(MeanMetric):
@@ -28,7 +30,7 @@ def mean_squared_error(dims: int) -> PerExperiment:
 
     def value(prediction: Prediction, batch: Batch) -> Tensor:
         error = (prediction.position - batch.target)[..., :dims].square().mean(dim=-1)
-        return _over_objects(error.mean(dim=1), batch.presence)
+        return over_objects(error.mean(dim=1), batch.presence)
 
     return value
 
@@ -38,38 +40,87 @@ def final_position_error(dims: int) -> PerExperiment:
 
     def value(prediction: Prediction, batch: Batch) -> Tensor:
         error = (prediction.position - batch.target)[:, -1, :, :dims].norm(dim=-1)
-        return _over_objects(error, batch.presence)
+        return over_objects(error, batch.presence)
+
+    return value
+
+
+def pixel_error(camera: Camera) -> PerExperiment:
+    """(B,) distance in pixels between predicted and true final position in the camera's picture, mean over objects."""
+    return lambda prediction, batch: over_objects(_pixel_distance(camera, prediction, batch), batch.presence)
+
+
+def pixel_error_at_height(camera: Camera, rank: int) -> PerExperiment:
+    """(B,) the same for one object, the `rank`-th from below in C (0 is the lowest); NaN where C has fewer objects."""
+
+    def value(prediction: Prediction, batch: Batch) -> Tensor:
+        height = torch.where(batch.presence, batch.initial[..., 2], torch.inf)
+        chosen = height.argsort(dim=1)[:, rank : rank + 1]
+        distance = _pixel_distance(camera, prediction, batch).gather(1, chosen).squeeze(1)
+        return torch.where(batch.presence.sum(dim=1) > rank, distance, torch.nan)
 
     return value
 
 
 def stability_accuracy(prediction: Prediction, batch: Batch) -> Tensor:
     """(B,) share of objects and steps whose stability is predicted right; one decision for all steps counts at each."""
-    assert prediction.stable_logit is not None
-    right = (prediction.stable_logit > 0) == batch.stable
-    return _over_objects(right.float().mean(dim=1), batch.presence)
+    right = (_stable_logit(prediction) > 0) == batch.stable
+    return over_objects(right.float().mean(dim=1), batch.presence)
 
 
 def stability_base_rate(prediction: Prediction, batch: Batch) -> Tensor:
     """(B,) share of objects and steps that are stable: the accuracy of always saying so."""
-    return _over_objects(batch.stable.float().mean(dim=1), batch.presence)
+    return over_objects(batch.stable.float().mean(dim=1), batch.presence)
 
 
-def position_metrics(dims: int) -> MetricCollection:
-    """Metrics of every predictor on a scenario whose MSE counts `dims` coordinates."""
-    return _collection({"mse": mean_squared_error(dims), "final_position_error": final_position_error(dims)})
+def sequence_stability_accuracy(prediction: Prediction, batch: Batch) -> Tensor:
+    """(B,) share of objects of which is said rightly whether they stay stable at every step (paper Table 6 right)."""
+    right = (_stable_logit(prediction) > 0).all(dim=1) == batch.stable.all(dim=1)
+    return over_objects(right.float(), batch.presence)
 
 
-def stability_metrics() -> MetricCollection:
-    """Metrics of predictors that say whether objects are stable."""
-    return _collection({"stability_accuracy": stability_accuracy, "stability_base_rate": stability_base_rate})
+def position_measures(task: Task) -> dict[str, PerExperiment]:
+    """What every predictor is judged by while it trains."""
+    return {"mse": mean_squared_error(task.metric_dims), "final_position_error": final_position_error(task.metric_dims)}
 
 
-def _collection(values: dict[str, PerExperiment]) -> MetricCollection:
-    return MetricCollection({name: ExperimentMean(value) for name, value in values.items()}, compute_groups=False)
+def stability_measures() -> dict[str, PerExperiment]:
+    """The same for predictors that say whether objects are stable."""
+    return {
+        "stability_accuracy": stability_accuracy,
+        "stability_base_rate": stability_base_rate,
+        "sequence_stability_accuracy": sequence_stability_accuracy,
+    }
 
 
-def _over_objects(values: Tensor, presence: Tensor) -> Tensor:
+def pixel_measures(task: Task, camera: Camera, num_objects: int) -> dict[str, PerExperiment]:
+    """What is measured in the camera's picture, on the test split; `pixel_error_1` is of the lowest object."""
+    ranks = range(num_objects if task.by_height else 0)
+    levels = {f"pixel_error_{rank + 1}": pixel_error_at_height(camera, rank) for rank in ranks}
+    return {"pixel_error": pixel_error(camera)} | levels
+
+
+def collection(measures: dict[str, PerExperiment], prefix: str) -> MetricCollection:
+    """Measures as torchmetrics accumulate them."""
+    metrics: dict[str, Metric | MetricCollection] = {name: ExperimentMean(value) for name, value in measures.items()}
+    return MetricCollection(metrics, compute_groups=False, prefix=prefix)
+
+
+def over_objects(values: Tensor, presence: Tensor) -> Tensor:
     """(B, K) -> (B,) mean over present objects."""
     present = presence.to(values.dtype)
     return torch.where(presence, values, 0.0).sum(dim=1) / present.sum(dim=1)
+
+
+def _stable_logit(prediction: Prediction) -> Tensor:
+    assert prediction.stable_logit is not None
+    return prediction.stable_logit
+
+
+def _pixel_distance(camera: Camera, prediction: Prediction, batch: Batch) -> Tensor:
+    """(B, K) distance in pixels at the last step."""
+    predicted, true = (
+        torch.from_numpy(camera.project(position[:, -1].cpu().numpy(), RESOLUTION))
+        for position in (prediction.position, batch.target)
+    )
+    return (predicted - true).norm(dim=-1)

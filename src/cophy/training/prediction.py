@@ -1,7 +1,8 @@
 """Stage 2: train and test a predictor of D."""
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import lightning as L
 import torch
@@ -10,24 +11,36 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 from torchmetrics import MetricCollection
 
-from cophy.training.losses import position_loss, stability_loss
-from cophy.training.metrics import position_metrics, stability_metrics
+from cophy.errors import CophyError
+from cophy.scenario import Scenario
+from cophy.training.augmentation import augment
+from cophy.training.losses import confounder_loss, position_loss, stability_loss
+from cophy.training.metrics import collection, position_measures, stability_measures
 from cophy.training.settings import Training
 from cophy.types import Batch, Prediction
+
+TensorTuple = TypeVar("TensorTuple", Batch, Prediction)
 
 
 class PredictionModule(L.LightningModule):
     """Any network from `Batch` to `Prediction`, under the paper's losses and metrics.
 
-    config: the run's resolved configuration as plain values; it travels in every checkpoint.
+    config: the run's resolved configuration as plain values; it travels in every checkpoint. After a test, `tested`
+    holds the predictions and what they were made for, on the CPU.
     """
 
-    def __init__(self, network: nn.Module, training: Training, *, metric_dims: int, config: dict[str, Any]) -> None:
+    tested: tuple[Prediction, Batch]
+    symmetries: Tensor
+
+    def __init__(self, network: nn.Module, training: Training, scenario: Scenario, *, config: dict[str, Any]) -> None:
         super().__init__()
         self.network, self.training_settings, self.config = network, training, config
-        splits = ("train", "val", "test")
-        self.position_metrics = nn.ModuleDict({f"in_{s}": position_metrics(metric_dims).clone(f"{s}/") for s in splits})
-        self.stability_metrics = nn.ModuleDict({f"in_{s}": stability_metrics().clone(f"{s}/") for s in splits})
+        self.register_buffer("symmetries", torch.from_numpy(scenario.symmetries()).float(), persistent=False)
+        self.confounder_heads = _confounder_heads(network, scenario) if training.confounder_weight else None
+        measures = {"position": position_measures(scenario.task), "stability": stability_measures()}
+        self.metrics = nn.ModuleDict(
+            {f"in_{s}_{kind}": collection(m, f"{s}/") for s in ("train", "val") for kind, m in measures.items()}
+        )
 
     @property
     def learns(self) -> bool:
@@ -38,6 +51,8 @@ class PredictionModule(L.LightningModule):
         return self.network(batch)
 
     def training_step(self, batch: Batch) -> Tensor:
+        if self.training_settings.augmentation:
+            batch = augment(batch, self.symmetries)
         prediction = self(batch)
         self._measure("train", prediction, batch)
         return self._loss("train", prediction, batch)
@@ -47,12 +62,22 @@ class PredictionModule(L.LightningModule):
         self._measure("val", prediction, batch)
         return self._loss("val", prediction, batch)
 
+    def on_test_epoch_start(self) -> None:
+        self._test_steps: list[tuple[Prediction, Batch]] = []
+
     def test_step(self, batch: Batch) -> None:
-        self._measure("test", self(batch), batch)
+        self._test_steps.append((_map(torch.Tensor.cpu, self(batch)), _map(torch.Tensor.cpu, batch)))
+
+    def on_test_epoch_end(self) -> None:
+        predictions, batches = zip(*self._test_steps, strict=True)
+        self.tested = (
+            _map(lambda *parts: torch.cat(parts), *predictions),
+            _map(lambda *parts: torch.cat(parts), *batches),
+        )
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam, its learning rate falling to zero along a cosine over the epochs of the run (also of a longer resumed one)."""
-        optimizer = torch.optim.Adam(self.network.parameters(), lr=self.training_settings.learning_rate)
+        optimizer = torch.optim.Adam(self.parameters(), lr=self.training_settings.learning_rate)
         epochs = max(self.trainer.max_epochs or 1, 1)
         schedule = LambdaLR(optimizer, lambda epoch: (1 + math.cos(math.pi * min(epoch / epochs, 1))) / 2)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
@@ -61,23 +86,41 @@ class PredictionModule(L.LightningModule):
         checkpoint["config"] = self.config
 
     def _loss(self, split: str, prediction: Prediction, batch: Batch) -> Tensor:
-        losses = {"position_loss": position_loss(prediction, batch)}
-        loss = self.training_settings.position_weight * losses["position_loss"]
+        settings, terms = self.training_settings, {}
+        terms["position_loss"] = settings.position_weight, position_loss(prediction, batch)
         if prediction.stable_logit is not None:
-            losses["stability_loss"] = stability_loss(prediction.stable_logit, batch)
-            loss = loss + self.training_settings.stability_weight * losses["stability_loss"]
-        values = {f"{split}/{name}": value for name, value in {"loss": loss, **losses}.items()}
+            terms["stability_loss"] = settings.stability_weight, stability_loss(prediction.stable_logit, batch)
+        if self.confounder_heads is not None:
+            logits = [head(prediction.confounder_estimate) for head in self.confounder_heads]
+            terms["confounder_loss"] = settings.confounder_weight, confounder_loss(logits, batch)
+        loss = torch.stack([weight * value for weight, value in terms.values()]).sum()
+        values = {f"{split}/{name}": value for name, (_, value) in terms.items()} | {f"{split}/loss": loss}
         self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch.initial))
         return loss
 
     def _measure(self, split: str, prediction: Prediction, batch: Batch) -> None:
-        groups = [self.position_metrics]
-        if prediction.stable_logit is not None:
-            groups.append(self.stability_metrics)
-        for group in groups:
-            metrics = group[f"in_{split}"]
+        kinds = ["position"] if prediction.stable_logit is None else ["position", "stability"]
+        for kind in kinds:
+            metrics = self.metrics[f"in_{split}_{kind}"]
             assert isinstance(metrics, MetricCollection)
             with torch.no_grad():
                 metrics.update(prediction, batch)
             for name, metric in metrics.items(keep_base=False):
                 self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
+
+
+def _confounder_heads(network: nn.Module, scenario: Scenario) -> nn.ModuleList:
+    """A linear classifier of mass and one of friction on every object's U (paper, appendix)."""
+    width = getattr(network, "estimate_dim", None)
+    if not width:
+        raise CophyError(
+            "training.confounder_weight (ablation=supervised_confounders) needs a model that estimates confounders from AB"
+        )
+    grid = scenario.confounders
+    return nn.ModuleList(nn.Linear(width, len(values)) for values in (grid.mass, grid.friction))
+
+
+def _map(function: Callable[..., Tensor], *tuples: TensorTuple) -> TensorTuple:
+    """The named tuple whose fields are `function` of the fields of the given ones; None stays None."""
+    fields: Any = (None if values[0] is None else function(*values) for values in zip(*tuples, strict=True))
+    return type(tuples[0])(*fields)

@@ -1,11 +1,9 @@
-"""One row of a table: data, network, training, test, metrics.json."""
+"""One row of a table: data, network, training, test, results."""
 
-import json
 import logging
 import pickle
 import time
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +16,13 @@ from torch import nn
 
 from cophy.config import TrainConfig
 from cophy.dataset.datamodule import CounterfactualDataModule
-from cophy.dataset.store import write_atomically
 from cophy.errors import CophyError
+from cophy.training import reuse
+from cophy.training.callbacks import PredictionFigures, ResumeHint
+from cophy.training.evaluation import evaluate
 from cophy.training.prediction import PredictionModule
+from cophy.training.probe import estimate, probe
+from cophy.training.row import Row
 
 log = logging.getLogger(__name__)
 
@@ -29,31 +31,12 @@ warnings.filterwarnings("ignore", ".*does not have many workers.*")
 warnings.filterwarnings("ignore", ".*LeafSpec.*")  # of Lightning 2.6 with torch 2.13, nothing a user can do
 
 
-@dataclass(frozen=True)
-class Row:
-    """Where a run belongs: the names under which it was chosen, and its directory."""
-
-    scenario: str
-    split: str
-    model: str
-    ablation: str
-    positions: str
-    seed: int
-    size: str
-    directory: Path
-
-    def names(self) -> dict[str, Any]:
-        """The names alone."""
-        return {key: value for key, value in vars(self).items() if key != "directory"}
-
-
 def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[str, float]:
-    """Train (if there is anything to train), test the best checkpoint, write metrics.json; returns the metrics.
+    """Train (if there is anything to train), test the best checkpoint, write the results; returns the metrics.
 
     resolved: the configuration as plain values; it goes into every checkpoint.
     """
     start = time.monotonic()
-    (row.directory / "metrics.json").unlink(missing_ok=True)  # a stopped run must not pass for the one before it
     torch.set_num_threads(settings.threads)
     L.seed_everything(settings.seed, workers=True, verbose=False)
     data = CounterfactualDataModule(
@@ -66,23 +49,37 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
         workers=settings.workers,
     )
     network = build_network(resolved["model"])
-    module = PredictionModule(
-        network, settings.training, metric_dims=settings.scenario.task.metric_dims, config=resolved
-    )
+    module = PredictionModule(network, settings.training, settings.scenario, config=resolved)
     trainer = _trainer(settings, row.directory)
     assert isinstance(trainer.logger, TensorBoardLogger)
     compared = row.names() | _flatten({part: resolved[part] for part in ("model", "training", "trainer")})
     trainer.logger.log_hyperparams(compared, {"test/mse": float("nan")})
-    checkpoint = None
+    checkpoint, training_seconds = None, 0.0
     if module.learns:
-        trainer.fit(module, data, ckpt_path=_resumable(settings.ckpt, resolved), weights_only=True)
-        checkpoint = None if settings.trainer.fast_dev_run else "best"
+        training_seconds = _train(module, data, trainer, settings, row, resolved)
+        checkpoint = None if settings.trainer.fast_dev_run else row.directory / "checkpoints" / "best.ckpt"
     elif settings.ckpt is not None:
         raise CophyError(f"ckpt={settings.ckpt}: {row.model} has nothing to train or to restore")
-    results = trainer.test(module, data, ckpt_path=checkpoint, weights_only=True, verbose=False)[0]
-    metrics = {name.removeprefix("test/"): value for name, value in results.items()}
-    if not settings.trainer.fast_dev_run:
-        _write_metrics(row, data, metrics, wall_seconds=time.monotonic() - start)
+    trainer.test(module, data, ckpt_path=checkpoint, weights_only=True, verbose=False)
+    prediction, batch = module.tested
+    values = evaluate(prediction, batch, settings.scenario)
+    if prediction.confounder_estimate is not None:
+        fitted = estimate(network, data.train.batch, batch_size=settings.training.batch_size)
+        assert fitted is not None
+        values |= probe((fitted, data.train.batch), (prediction.confounder_estimate, batch))
+    if settings.trainer.fast_dev_run:
+        return {}
+    row.write_predictions(prediction, batch)
+    about = {
+        "dataset_ids": data.dataset_ids,
+        "num_train": len(data.train),
+        "num_test": len(data.test),
+        "training_seconds": training_seconds,
+        "wall_seconds": round(time.monotonic() - start, 1),
+    }
+    metrics = row.finish(values, about)
+    trainer.logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, trainer.global_step)
+    trainer.logger.save()
     return metrics
 
 
@@ -101,6 +98,32 @@ def build_network(model: dict[str, Any]) -> nn.Module:
         raise CophyError(f"model: {error}; see {model['_target_']}") from error
 
 
+def _train(
+    module: PredictionModule,
+    data: CounterfactualDataModule,
+    trainer: L.Trainer,
+    settings: TrainConfig,
+    row: Row,
+    resolved: dict[str, Any],
+) -> float:
+    """Fit, or adopt the checkpoints of a training that was the same; returns the seconds that training took."""
+    resume = _resumable(settings.ckpt, resolved)
+    print_of_training = reuse.fingerprint(data, module.network, resolved)
+    found = (
+        reuse.find(row, print_of_training) if settings.reuse and not (resume or settings.trainer.fast_dev_run) else None
+    )
+    if found is not None:
+        log.info("trained already, on the same data with the same settings: %s (reuse=false trains again)", found)
+        return reuse.adopt(found, row)
+    reuse.forget(row)
+    start = time.monotonic()
+    trainer.fit(module, data, ckpt_path=resume, weights_only=True)
+    seconds = time.monotonic() - start
+    if resume is None and not settings.trainer.fast_dev_run:
+        reuse.record(row, print_of_training, training_seconds=seconds)
+    return round(seconds, 1)
+
+
 def _trainer(settings: TrainConfig, directory: Path) -> L.Trainer:
     checkpoints = ModelCheckpoint(
         directory / "checkpoints",
@@ -110,21 +133,13 @@ def _trainer(settings: TrainConfig, directory: Path) -> L.Trainer:
         enable_version_counter=False,
     )
     logger = TensorBoardLogger(directory, name="tensorboard", version="", default_hp_metric=False)
-    callbacks = [checkpoints, LearningRateMonitor("epoch"), ResumeHint(directory / "checkpoints" / "last.ckpt")]
+    callbacks = [
+        checkpoints,
+        LearningRateMonitor("epoch"),
+        PredictionFigures(settings.figures_every_n_epochs),
+        ResumeHint(directory / "checkpoints" / "last.ckpt"),
+    ]
     return L.Trainer(logger=logger, callbacks=callbacks, default_root_dir=directory, **vars(settings.trainer))
-
-
-class ResumeHint(L.Callback):
-    """Say how to go on when training stops early."""
-
-    def __init__(self, checkpoint: Path) -> None:
-        self.checkpoint = checkpoint
-
-    def on_exception(self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException) -> None:
-        if self.checkpoint.exists():
-            log.warning("stopped in epoch %d: go on with ckpt=%s", trainer.current_epoch, self.checkpoint)
-        else:
-            log.warning("stopped in epoch %d, before the first checkpoint", trainer.current_epoch)
 
 
 def _resumable(ckpt: str | None, resolved: dict[str, Any]) -> str | None:
@@ -150,18 +165,3 @@ def _flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     for key, value in tree.items():
         leaves |= _flatten(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
     return leaves
-
-
-def _write_metrics(row: Row, data: CounterfactualDataModule, metrics: dict[str, float], *, wall_seconds: float) -> None:
-    """metrics.json, once and whole: the row's names, the data behind it, and the test metrics."""
-    content = {
-        **row.names(),
-        "dataset_ids": data.dataset_ids,
-        "num_train": len(data.train),
-        "num_test": len(data.test),
-        "wall_seconds": round(wall_seconds, 1),
-        "metrics": metrics,
-    }
-    path = row.directory / "metrics.json"
-    write_atomically(path, (json.dumps(content, indent=2) + "\n").encode())
-    log.info("%s: %s", path, "  ".join(f"{name} {value:.4f}" for name, value in metrics.items()))

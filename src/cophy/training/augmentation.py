@@ -1,0 +1,31 @@
+"""Every training experiment, turned and mirrored at random as the symmetries of its scenario allow."""
+
+import torch
+from torch import Tensor
+
+from cophy.types import HORIZONTAL, Batch
+
+
+def augment(batch: Batch, symmetries: Tensor) -> Batch:
+    """One of the symmetries (S, 2, 2) for each experiment: the same for AB, C, D and the confounders."""
+    choice = torch.randint(len(symmetries), (len(batch.initial),), device=batch.initial.device)
+    return transform(batch, symmetries[choice])
+
+
+def transform(batch: Batch, matrices: Tensor) -> Batch:
+    """The batch seen in other coordinates; matrices: (B, 2, 2) on (x, y), one per experiment."""
+    confounders = batch.confounders.clone()
+    for columns in HORIZONTAL:
+        confounders[..., columns] = torch.einsum("bij,bkj->bki", matrices, batch.confounders[..., columns])
+    return batch._replace(
+        observed=_turned(batch.observed, matrices),
+        initial=_turned(batch.initial, matrices),
+        target=_turned(batch.target, matrices),
+        confounders=confounders,
+    )
+
+
+def _turned(position: Tensor, matrices: Tensor) -> Tensor:
+    """(B, ..., 3) metres -> the same with (x, y) transformed."""
+    xy = torch.einsum("bij,b...j->b...i", matrices, position[..., :2])
+    return torch.cat([xy, position[..., 2:]], dim=-1)

@@ -1,0 +1,64 @@
+"""Pictures of predictions, for TensorBoard and the report."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+VIEWS = {"from above": (0, 1), "from the side": (0, 2)}  # the axes shown
+MARKED = 4  # every how many frames a marker
+
+
+def draw_trajectories(
+    initial: np.ndarray, predicted: np.ndarray, true: np.ndarray, presence: np.ndarray, *, colors: Sequence[str]
+) -> Figure:
+    """Predicted and true trajectories of a few experiments, from above and from the side, each object in its colour.
+
+    initial: (N, K, 3) C; predicted, true: (N, T-1, K, 3) D, metres; presence: (N, K). Squares are C, circles the truth,
+    crosses the prediction (as in the paper's figure of predictions), at every fourth frame and the last.
+    """
+    count = len(initial)
+    figure = Figure(figsize=(3.2 * count, 6.4), layout="constrained")
+    axes = figure.subplots(len(VIEWS), count, squeeze=False)
+    for row, (view, (right, up)) in zip(axes, VIEWS.items(), strict=True):
+        for n, axis in enumerate(row):
+            for slot in np.flatnonzero(presence[n]).tolist():
+                style = {"color": colors[slot], "markerfacecolor": "none"}
+                for path, marker in ((true[n, :, slot], "o"), (predicted[n, :, slot], "x")):
+                    whole = np.concatenate([initial[n, None, slot], path])
+                    marked = [*range(MARKED, len(whole) - 1, MARKED), len(whole) - 1]
+                    line = "-" if marker == "o" else ":"
+                    axis.plot(
+                        whole[:, right], whole[:, up], line, marker=marker, markevery=marked, ms=6, lw=0.8, **style
+                    )
+                axis.plot(*initial[n, slot, [right, up]], "s", ms=9, **style)
+            axis.set(xlabel="x (m)", ylabel=f"{'xyz'[up]} (m)", title=view if n == 0 else "")
+            axis.set_aspect("equal", adjustable="datalim")
+            axis.grid(alpha=0.2)
+    marks = (("s", "", "C"), ("o", "-", "true D"), ("x", ":", "predicted D"))
+    handles = [
+        Line2D([], [], color="0.3", marker=m, ls=ls, markerfacecolor="none", label=name) for m, ls, name in marks
+    ]
+    figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False)
+    return figure
+
+
+def error_over_time(predicted: np.ndarray, true: np.ndarray, presence: np.ndarray, *, dims: int) -> np.ndarray:
+    """(T-1,) Euclidean error in metres at every step: mean over present objects, then over experiments."""
+    distance = np.linalg.norm((predicted - true)[..., :dims], axis=-1)
+    per_experiment = (distance * presence[:, None]).sum(axis=-1) / presence.sum(axis=-1)[:, None]
+    return np.asarray(per_experiment.mean(axis=0))
+
+
+def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: float, title: str = "") -> Figure:
+    """One line per model: the error of `error_over_time` against the time in seconds."""
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axis = figure.subplots()
+    for name, curve in curves.items():
+        axis.plot((1 + np.arange(len(curve))) / frame_rate_hz, curve, label=name, lw=1.5)
+    axis.set(xlabel="time (s)", ylabel="position error (m)", title=title, xlim=(0, None), ylim=(0, None))
+    axis.grid(alpha=0.2)
+    if len(curves) > 1:
+        figure.legend(loc="outside right upper", frameon=False, fontsize="small")
+    return figure

@@ -1,0 +1,55 @@
+"""What U says about mass and friction: linear classifiers on the frozen estimate (paper Table 5)."""
+
+import numpy as np
+import torch
+from sklearn.linear_model import LogisticRegression
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from torch import Tensor, nn
+
+from cophy.training.metrics import over_objects
+from cophy.types import Batch
+
+
+def estimate(network: nn.Module, batch: Batch, *, batch_size: int) -> Tensor | None:
+    """The estimate U (experiment, slot, hidden) of all experiments, or None if the network makes none."""
+    parts = []
+    with torch.no_grad():
+        for start in range(0, len(batch.initial), batch_size):
+            part = network.eval()(Batch(*(tensor[start : start + batch_size] for tensor in batch)))
+            if part.confounder_estimate is None:
+                return None
+            parts.append(part.confounder_estimate)
+    return torch.cat(parts)
+
+
+def probe(train: tuple[Tensor, Batch], test: tuple[Tensor, Batch]) -> dict[str, np.ndarray]:
+    """(experiment,) share of objects of AB classified right: mass and friction together, each alone, and by chance.
+
+    Logistic regressions, fitted on the estimates of the training split. `probe_chance` always answers the most
+    frequent combination of the training split.
+    """
+    fitted, tested = (u[batch.observed_presence].numpy() for u, batch in (train, test))
+    seen, asked = (_classes(batch) for _, batch in (train, test))
+
+    def per_experiment(right: np.ndarray) -> np.ndarray:
+        scattered = torch.zeros(test[1].observed_presence.shape, dtype=torch.float64)
+        scattered[test[1].observed_presence] = torch.from_numpy(right.astype(np.float64))
+        return over_objects(scattered, test[1].observed_presence).numpy()
+
+    def accuracy(name: str) -> np.ndarray:
+        classifier = make_pipeline(StandardScaler(), LogisticRegression(max_iter=1000))
+        return per_experiment(classifier.fit(fitted, seen[name]).predict(tested) == asked[name])
+
+    most_frequent = np.bincount(seen["mass and friction"]).argmax()
+    return {
+        "probe_accuracy": accuracy("mass and friction"),
+        "probe_mass_accuracy": accuracy("mass"),
+        "probe_friction_accuracy": accuracy("friction"),
+        "probe_chance": per_experiment(asked["mass and friction"] == most_frequent),
+    }
+
+
+def _classes(batch: Batch) -> dict[str, np.ndarray]:
+    mass, friction = batch.confounder_class[batch.observed_presence].numpy().T
+    return {"mass": mass, "friction": friction, "mass and friction": mass * (friction.max() + 1) + friction}

@@ -1,0 +1,108 @@
+"""Tables from runs whose numbers are known."""
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from cophy.report.render import for_terminal, latex, markdown
+from cophy.report.runs import summary
+from cophy.report.tables import fill, paper_tables
+from tests.conftest import ROOT
+
+TABLES = {table.id: table for table in paper_tables()}
+
+
+def run(model: str, ablation: str = "full", seed: int = 0, **changes: Any) -> dict[str, Any]:
+    line = {
+        "scenario": "blocktower", "split": "3to3", "model": model, "ablation": ablation, "positions": "ground_truth",
+        "seed": seed, "size": "small", "num_train": 2800, "num_test": 400, "training_seconds": 100.0,
+        "wall_seconds": 110.0, "epochs": 40, "error": None, "directory": Path("runs"),
+    }  # fmt: skip
+    return line | changes
+
+
+def measured(metric: str, value: float, *names: str, **changes: Any) -> dict[str, Any]:
+    return run(*names, **changes) | {metric: value, f"{metric}_low": value - 0.01, f"{metric}_high": value + 0.02}
+
+
+def test_the_best_of_the_comparable_methods_is_bold() -> None:
+    runs = pd.DataFrame(
+        [measured("mse", 0.4, "copy_c"), measured("mse", 0.2, "cophynet"), measured("mse", 0.1, "in", "gt_confounders")]
+    )
+    cells = fill(TABLES["blocktower"], runs).cells(bold=("**", "**")).loc["3→3"]
+    assert cells["Copy C"] == "0.400 [0.390, 0.420] / 0.470"
+    assert cells["CoPhyNet"] == "**0.200** [0.190, 0.220] / 0.294"
+    assert cells["IN sup."] == "0.100 [0.090, 0.120] / 0.296"  # a bound does not compete
+    assert cells["NPE"] == "— / 0.331"
+
+
+def test_accuracies_are_percent_and_higher_is_better() -> None:
+    metric = "sequence_stability_accuracy"
+    runs = pd.DataFrame([measured(metric, 0.5, "copy_c"), measured(metric, 0.75, "cophynet")])
+    cells = fill(TABLES["stability"], runs).cells(bold=("**", "**"))["3→3"]
+    assert cells["CoPhyNet"] == "**75.0** [74.0, 77.0] / 76.8"
+    assert cells["Copy C"] == "50.0 [49.0, 52.0] / 71.0"
+
+
+def test_seeds_are_averaged_and_a_failed_one_is_counted() -> None:
+    runs = pd.DataFrame([measured("mse", value, "cophynet", seed=seed) for seed, value in enumerate((0.1, 0.2, 0.3))])
+    failed = pd.DataFrame([run("cophynet", seed=3, error="boom"), run("npe", error="boom")])
+    filled = fill(TABLES["blocktower"], pd.concat([runs, failed]))
+    assert filled.cells().loc["3→3", "CoPhyNet"] == "0.200 ± 0.100 (1 failed) / 0.294"
+    assert filled.cells().loc["3→3", "NPE"] == "failed / 0.331"
+    assert "seeds 0, 1, 2" in filled.caption
+    assert "2800 training and 400 test experiments; 40 epochs" in filled.caption
+
+
+def test_runs_of_a_smaller_size_do_not_mix_in() -> None:
+    runs = pd.DataFrame(
+        [measured("mse", 0.2, "cophynet"), measured("mse", 0.9, "cophynet", seed=1, size="tiny", num_train=28)]
+    )
+    assert fill(TABLES["blocktower"], runs).cells().loc["3→3", "CoPhyNet"].startswith("0.200 [")
+
+
+def test_the_papers_numbers_are_the_papers() -> None:
+    """Every number of a table stands in it once, where the paper has it: spot checks against its text."""
+    assert TABLES["collision"].paper[2][4] == 0.152
+    assert TABLES["balls"].paper[0] == [7.271, 3.267, 5.060, 4.989, 2.307, 2.109]
+    for table in TABLES.values():
+        assert len(table.paper) == len(table.rows)
+        assert all(len(row) == len(table.columns) for row in table.paper)
+        assert set(table.bounds) <= {*table.rows, *table.columns}
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_every_format_shows_every_number(table: str) -> None:
+    choice = {
+        **TABLES[table].select,
+        **next(iter(TABLES[table].rows.values())),
+        **next(iter(TABLES[table].columns.values())),
+    }
+    metric = choice.pop("metric")
+    runs = pd.DataFrame([measured(metric, 0.123, **{**choice, "seed": 0})])
+    filled = fill(TABLES[table], runs)
+    shown = f"{0.123 * TABLES[table].scale:.{TABLES[table].digits}f}"
+    for text in (markdown(filled), latex(filled), for_terminal(filled).to_string()):
+        assert shown in text
+        assert "BOLD" not in text
+    assert not set("→†±—").intersection(latex(filled))
+
+
+def test_the_summary_tells_the_cost() -> None:
+    runs = pd.DataFrame([measured("mse", 0.2, "cophynet"), run("npe", error="boom")])
+    line = summary(runs).iloc[0]
+    assert (line["run"], line["training (s)"], line["mse"]) == (
+        "blocktower 3to3 cophynet full ground_truth small",
+        "100",
+        "0.200",
+    )
+    assert summary(pd.DataFrame()).empty
+
+
+def test_the_readme_names_every_choice() -> None:
+    readme = (ROOT / "README.md").read_text()
+    for group in ("scenario", "model", "ablation", "table"):
+        for path in (ROOT / "conf" / group).iterdir():
+            assert f"`{path.stem}`" in readme, f"{group}={path.stem}"

@@ -1,0 +1,43 @@
+"""docs/extending.md, followed to the letter: a model in one Python file and one YAML file, in a folder of its own."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.conftest import ROOT
+
+
+def blocks(language: str) -> list[str]:
+    """The code blocks of the page."""
+    return re.findall(rf"```{language}\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), re.DOTALL)
+
+
+def test_the_model_of_the_page_trains_and_appears_in_the_report(tiny_data: Path, tmp_path: Path) -> None:
+    for name, content in [("drift.py", blocks("python")[0]), ("conf/model/drift.yaml", blocks("yaml")[0])]:
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+
+    def command(script: str, *arguments: str) -> str:
+        path = f"hydra.searchpath=[file://{tmp_path / 'conf'}]"
+        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+        result = subprocess.run(
+            [sys.executable, str(ROOT / "src" / script), path, *arguments],
+            capture_output=True, text=True, timeout=300, check=False, env=environment,
+        )  # fmt: skip
+        assert result.returncode == 0, result.stderr[-3000:]
+        return result.stdout
+
+    row = tmp_path / "outputs/collision/all/drift/full/ground_truth/seed0"
+    command(
+        "train.py", "scenario=collision", "model=drift", "size=tiny", f"data_dir={tiny_data}",
+        "trainer.max_epochs=2", f"hydra.run.dir={row}",
+    )  # fmt: skip
+    metrics = json.loads((row / "metrics.json").read_text())
+    assert metrics["model"] == "drift"
+    assert metrics["metrics"]["mse"] > 0
+    command("report.py", f"outputs={tmp_path / 'outputs'}")
+    assert "collision all drift full" in (tmp_path / "outputs" / "report" / "tables.md").read_text()

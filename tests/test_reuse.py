@@ -1,0 +1,40 @@
+"""A training that was done is not done again."""
+
+import json
+from pathlib import Path
+
+from tests.test_end_to_end import train
+
+HALVES = ("scenario=balls", "trainer.max_epochs=1")
+
+
+def result(root: Path, split: str) -> dict:
+    return json.loads((root / f"balls/{split}/cophynet/full/ground_truth/seed0/metrics.json").read_text())
+
+
+def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path: Path) -> None:
+    printed = train("-m", *HALVES, "split=4to4,4to2", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
+    assert printed.count("trained already") == 1
+    assert str(tmp_path / "balls/4to4/cophynet/full/ground_truth/seed0/checkpoints") in printed
+    assert result(tmp_path, "4to2")["metrics"]["mse"] != result(tmp_path, "4to4")["metrics"]["mse"]
+    assert result(tmp_path, "4to2")["training_seconds"] == result(tmp_path, "4to4")["training_seconds"]
+    alone = train(*HALVES, "split=4to2", f"hydra.run.dir={tmp_path / 'alone'}", data=tiny_data)
+    assert "trained already" not in alone
+    metrics = json.loads((tmp_path / "alone" / "metrics.json").read_text())["metrics"]
+    assert metrics == result(tmp_path, "4to2")["metrics"]  # reuse changes no number
+
+
+def test_another_training_is_not_reused(tiny_data: Path, tmp_path: Path) -> None:
+    place = (*HALVES, f"hydra.run.dir={tmp_path}")
+    train(*place, data=tiny_data)
+    assert "trained already" in train(*place, data=tiny_data)
+    assert "trained already" not in train(*place, "reuse=false", data=tiny_data)
+    assert "trained already" not in train(*place, "training.learning_rate=0.002", data=tiny_data)
+    assert "trained already" not in train(*place, "seed=1", data=tiny_data)
+
+
+def test_a_failed_row_is_noted_and_the_others_run(tiny_data: Path, tmp_path: Path) -> None:
+    sweep = ("-m", "scenario=collision", "split=cylinder_to_sphere,all", "model=copy_b", f"hydra.sweep.dir={tmp_path}")
+    train(*sweep, data=tiny_data, code=1)  # tiny data hold no test experiment of the first split
+    assert "leaves no test experiments" in json.loads(next(tmp_path.rglob("failure.json")).read_text())["error"]
+    assert [path.parts[-6] for path in tmp_path.rglob("metrics.json")] == ["all"]
