@@ -13,9 +13,9 @@ from rich.console import Console
 from rich.table import Table
 
 from cophy import config
-from cophy.models.cophynet import CoPhyNet
 from cophy.scenario import Scenario, Simulator
 from cophy.training.losses import position_loss, stability_loss
+from cophy.training.run import build_network
 from cophy.types import CONFOUNDERS, Batch
 
 ROOT = Path(__file__).parents[1]
@@ -119,8 +119,9 @@ def search(scenario: Scenario, num_objects: int, simulator: Simulator) -> float:
 
 def training(batch_size: int) -> float:
     """Throughput of forward, backward and Adam."""
-    model = vars(composed("train").model)
-    network = CoPhyNet(**{key: getattr(value, "value", value) for key, value in model.items() if key != "_target_"})
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        model = OmegaConf.to_container(compose("train").model, enum_to_str=True)
+    network = build_network(model)
     optimizer = torch.optim.Adam(network.parameters())
 
     def step(batch: Batch) -> None:
@@ -143,13 +144,15 @@ def random_batch(size: int) -> Batch:
     presence = torch.ones(size, 4, dtype=torch.bool)
     presence[torch.arange(size), torch.randint(4, (size,))] = False
     return Batch(
-        torch.randn(size, 30, 4, 3),
-        presence,
-        torch.randn(size, 4, 3),
-        presence,
-        torch.randn(size, 4, len(CONFOUNDERS)),
-        torch.randn(size, 29, 4, 3),
-        torch.rand(size, 29, 4) > 0.5,
+        observed=torch.randn(size, 30, 4, 3),
+        observed_presence=presence,
+        observed_stable=torch.rand(size, 29, 4) > 0.5,
+        initial=torch.randn(size, 4, 3),
+        presence=presence,
+        confounders=torch.randn(size, 4, len(CONFOUNDERS)),
+        confounder_class=torch.randint(0, 2, (size, 4, 2)),
+        target=torch.randn(size, 29, 4, 3),
+        stable=torch.rand(size, 29, 4) > 0.5,
     )
 
 

@@ -97,10 +97,12 @@ def draw_stability_distribution(datasets: dict[int, dict[str, np.ndarray]], stan
             axis.bar(at, 100 - share, bottom=share, color=GREY, label="CD falls")
             axis.set_xticks(at, share.index)
             axis.axhspan(45, 55, color="k", alpha=0.12, lw=0)
-            axis.set(title=f"{name}, K = {count}", ylim=(0, 100))
+            axis.set_title(f"{name}, K = {count}" if len(share) > 3 else name, fontsize="medium")
+            axis.set_ylim(0, 100)
             axis.tick_params(axis="x", rotation=90 if len(share) > 3 else 0, labelsize="small")
         row[0].set_ylabel("experiments, %")
-    axes[0, -1].legend(loc="upper right", fontsize="small")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=2, frameon=False)
     return figure
 
 

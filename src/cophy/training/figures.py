@@ -8,6 +8,7 @@ from matplotlib.lines import Line2D
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}  # the axes shown
 MARKED = 4  # every how many frames a marker
+SMALLEST_VIEW = 2.0  # metres: what hardly moves shall not look as if it did
 
 
 def draw_trajectories(
@@ -19,22 +20,25 @@ def draw_trajectories(
     crosses the prediction (as in the paper's figure of predictions), at every fourth frame and the last.
     """
     count = len(initial)
-    figure = Figure(figsize=(3.2 * count, 6.4), layout="constrained")
+    figure = Figure(figsize=(3.0 * count, 6.4), layout="constrained")
     axes = figure.subplots(len(VIEWS), count, squeeze=False)
     for row, (view, (right, up)) in zip(axes, VIEWS.items(), strict=True):
         for n, axis in enumerate(row):
+            everything = []
             for slot in np.flatnonzero(presence[n]).tolist():
                 style = {"color": colors[slot], "markerfacecolor": "none"}
-                for path, marker in ((true[n, :, slot], "o"), (predicted[n, :, slot], "x")):
-                    whole = np.concatenate([initial[n, None, slot], path])
+                for path, marker, line in ((true[n, :, slot], "o", "-"), (predicted[n, :, slot], "x", ":")):
+                    whole = np.concatenate([initial[n, None, slot], path])[:, [right, up]]
                     marked = [*range(MARKED, len(whole) - 1, MARKED), len(whole) - 1]
-                    line = "-" if marker == "o" else ":"
-                    axis.plot(
-                        whole[:, right], whole[:, up], line, marker=marker, markevery=marked, ms=6, lw=0.8, **style
-                    )
+                    axis.plot(*whole.T, line, marker=marker, markevery=marked, ms=6, lw=0.8, **style)
+                    everything.append(whole)
                 axis.plot(*initial[n, slot, [right, up]], "s", ms=9, **style)
+            low, high = np.concatenate(everything).min(axis=0), np.concatenate(everything).max(axis=0)
+            centre, half = (low + high) / 2, 0.55 * max((high - low).max(), SMALLEST_VIEW)
+            axis.set(
+                xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half), aspect="equal"
+            )
             axis.set(xlabel="x (m)", ylabel=f"{'xyz'[up]} (m)", title=view if n == 0 else "")
-            axis.set_aspect("equal", adjustable="datalim")
             axis.grid(alpha=0.2)
     marks = (("s", "", "C"), ("o", "-", "true D"), ("x", ":", "predicted D"))
     handles = [
@@ -60,5 +64,5 @@ def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: flo
     axis.set(xlabel="time (s)", ylabel="position error (m)", title=title, xlim=(0, None), ylim=(0, None))
     axis.grid(alpha=0.2)
     if len(curves) > 1:
-        figure.legend(loc="outside right upper", frameon=False, fontsize="small")
+        figure.legend(loc="outside right center", frameon=False, fontsize="small")
     return figure
