@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -13,7 +14,7 @@ from tests.conftest import ROOT, SCENARIOS
 
 FIELDS = {
     "scenario", "split", "model", "ablation", "positions", "seed", "size",
-    "dataset_ids", "num_train", "num_test", "wall_seconds", "metrics",
+    "dataset_ids", "num_train", "num_test", "training_seconds", "wall_seconds", "metrics", "intervals",
 }  # fmt: skip
 
 
@@ -39,11 +40,17 @@ def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: P
     assert content["num_train"] == 28
     assert content["num_test"] == 4
     assert set(content["metrics"]) >= {"mse", "final_position_error", "stability_accuracy", "stability_base_rate"}
-    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"best.ckpt", "last.ckpt"}
+    assert set(content["intervals"]) == set(content["metrics"])
+    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"best.ckpt", "last.ckpt", "finished.json"}
+    with np.load(tmp_path / "predictions.npz") as predictions:
+        assert (
+            predictions["position"].shape == predictions["target"].shape == (4, 29, *predictions["initial"].shape[1:])
+        )
     assert (tmp_path / ".hydra" / "config.yaml").exists()
     curves = EventAccumulator(str(tmp_path / "tensorboard"))
     curves.Reload()
     assert {"train/loss", "val/mse", "train/mse", "val/stability_accuracy", "lr-Adam"} <= set(curves.Tags()["scalars"])
+    assert {"val/trajectories", "val/error_over_time"} <= set(curves.Tags()["images"])
 
 
 def test_the_same_seed_gives_the_same_numbers_and_another_does_not(tiny_data: Path, tmp_path: Path) -> None:
@@ -92,10 +99,16 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     assert "model.hidden_dim=8" in printed  # a run of its own fills no table
     markdown = (tmp_path / "report" / "tables.md").read_text()
     assert "— / 0.318" in markdown  # IN was not run
+    names = {path.name for path in (tmp_path / "report" / "figures").iterdir()}
+    assert {"table-blocktower.png", "trajectories-blocktower-3to3.png", "error_over_time-blocktower-3to3.png"} <= names
     row = next(line for line in markdown.splitlines() if line.startswith("| 3→3 "))
-    assert row.count("—") == 3
+    assert row.count("—") == 3  # IN, NPE, IN sup.
     assert "Size tiny: 28 training and 4 test experiments; 1 epochs; seeds 0." in markdown
-    assert (tmp_path / "report" / "table2.csv").read_text().startswith("split,column,ours,sd,seeds,paper")
+    assert (
+        (tmp_path / "report" / "blocktower.csv")
+        .read_text()
+        .startswith("row,column,ours,sd,low,high,seeds,failed,paper,best")
+    )
 
 
 @pytest.mark.slow

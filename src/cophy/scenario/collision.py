@@ -25,6 +25,7 @@ class Collision(SimulatedSearch):
     distance: list[float]  # between the two centres in A: smallest and largest
     max_heading: float  # of the moving object, from the x axis to either side, rad
     speed: list[float]  # of the moving object at t = 0: smallest and largest
+    max_skew: float  # of a moving cylinder's axis from across its path, to either side, rad; it lies
     max_aim_offset: float  # by how far the moving object is aimed past the static one's centre
     displacement: list[float]  # along x or y: smallest and largest
     min_gap: float  # between the two objects, in A and C
@@ -54,9 +55,11 @@ class Collision(SimulatedSearch):
         start = target - rng.uniform(self.distance[0], self.distance[1]) * forward
         aim = target + rng.uniform(-self.max_aim_offset, self.max_aim_offset) * left
         direction = (aim - start) / np.linalg.norm(aim - start)
+        velocity = rng.uniform(self.speed[0], self.speed[1]) * direction
+        across = float(np.arctan2(direction[1], direction[0])) + rng.uniform(-self.max_skew, self.max_skew)
         bodies = (
-            self._body(moving, slots[0], start, rng.uniform(self.speed[0], self.speed[1]) * direction, rng),
-            self._body(static, slots[1], target, np.zeros(2), rng),
+            self._body(moving, slots[0], start, velocity, yaw=across, lies=True),
+            self._body(static, slots[1], target, np.zeros(2), yaw=rng.uniform(0, 2 * np.pi), lies=rng.random() < 0.5),
         )
         return Scene((floor(), *bodies), gravity=(0.0, 0.0, self.gravity_z))
 
@@ -73,12 +76,10 @@ class Collision(SimulatedSearch):
                 return Displace(body.slot, (float(offset[0]), float(offset[1]), 0.0))
 
     def _body(
-        self, shape: Shape, slot: int, centre: np.ndarray, velocity: np.ndarray, rng: np.random.Generator
+        self, shape: Shape, slot: int, centre: np.ndarray, velocity: np.ndarray, *, yaw: float, lies: bool
     ) -> Body:
-        """An object at rest on the floor or launched; a cylinder stands or lies, at equal odds, at a random yaw."""
-        yaw = rng.uniform(0.0, 2 * np.pi)
-        lies = shape is Shape.CYLINDER and rng.random() < 0.5
-        tilt = np.pi / 4 if lies else 0.0  # half of the quarter turn that lays the axis down
+        """An object at rest on the floor or launched; a cylinder stands, or lies with its axis across the yaw (rad)."""
+        tilt = np.pi / 4 if shape is Shape.CYLINDER and lies else 0.0  # half of the turn that lays the axis down
         return Body(
             shape,
             (self.object_size, self.object_size, self.object_size),
