@@ -93,6 +93,32 @@ def test_collision_launches_one_object_of_the_stratums_shape(tiny) -> None:
     assert [Shape(code).name.lower() for code in arrays["shape"][moves]] == [name.split("_")[0] for name in names]
 
 
+def test_a_moving_cylinder_rolls(tiny) -> None:
+    """It lies with its axis across its path."""
+    spec, arrays = tiny
+    if spec.scenario.name != "collision":
+        pytest.skip("collision only")
+    states = arrays["states"][:, 0]
+    moves = np.linalg.norm(states[:, 0, :, 7:10], axis=-1) > 0
+    cylinders = np.argwhere(moves & (arrays["shape"] == Shape.CYLINDER))
+    assert len(cylinders)
+    for experiment, slot in cylinders:
+        x, y, z, w = states[experiment, 0, slot, 3:7]
+        axis = np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
+        np.testing.assert_allclose(axis @ [0, 0, 1], 0, atol=1e-6)
+        np.testing.assert_allclose(axis @ states[experiment, 0, slot, 7:10], 0, atol=1e-5)
+
+
+def test_other_numbers_of_objects_are_other_scenes(simulator: Simulator, scenario_of) -> None:
+    """Else a model trained on four balls would meet balls of its training set where it is tested on two."""
+    balls = scenario_of("balls")
+    positions = [
+        {body.position for body in balls.twin_pair(count, seed=0, pair=0, simulator=simulator)[0].scene.objects}
+        for count in (3, 4)
+    ]
+    assert not positions[0] & positions[1]
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_an_experiment_is_a_pure_function_of_seed_and_index(name: str, tiny_data) -> None:
     from cophy.dataset import store
