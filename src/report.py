@@ -37,7 +37,7 @@ def main(cfg: DictConfig) -> None:
         store.write_atomically(directory / f"{result.table.id}.csv", result.values.to_csv(index=False).encode())
     everything = summary(runs)
     if len(everything):
-        main = ["run", "seeds", "training (s)", "mse", "final position error"]
+        main = [name for name in ("run", "seeds", "training (s)", "mse", "final position error") if name in everything]
         caption = "Mean over seeds, ± standard deviation where there are several. All metrics: tables.md, runs.csv."
         render.show("Everything that was run", everything[main], caption)
     written = {
@@ -73,9 +73,7 @@ def configuration_of(names: dict[str, Any]) -> dict[str, Any]:
     """What the names of a run stand for: the keys that make it the row it claims to be."""
     cfg = composed("train", *(f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation")))
     plain: Any = OmegaConf.to_container(cfg, resolve=True, enum_to_str=True)
-    return {key: plain[key] for key in ("model", "scenario", "split")} | {
-        "training.confounder_weight": plain["training"]["confounder_weight"]
-    }
+    return {key: plain[key] for key in ("model", "scenario", "split", "training", "data_seed")}
 
 
 def stability_distribution(runs: Any, settings: config.ReportConfig) -> dict[str, Any]:
@@ -91,6 +89,8 @@ def stability_distribution(runs: Any, settings: config.ReportConfig) -> dict[str
             chosen = cli.to_config(composed("generate", "scenario=blocktower", f"size={size}"))
             spec = DatasetSpec(chosen.scenario, count, chosen.size, chosen.seed)
             directory = spec.directory(Path(settings.data_dir))
+            if spec.id not in set(towers["dataset_ids"].explode()):
+                continue
             if not store.is_finished(directory, spec):
                 log.info("%s is not there: no stability distribution of towers of %d", directory, count)
                 continue

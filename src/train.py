@@ -1,9 +1,11 @@
 """Train and test one row of a table: python src/train.py scenario=balls model=cophynet"""
 
+import logging
 from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from cophy import cli, config
@@ -30,6 +32,8 @@ def main(cfg: DictConfig) -> float:
         return run_row(settings, row, resolved).get("mse", float("nan"))
     except Exception as error:
         row.fail(error)
+        if HydraConfig.get().mode is RunMode.MULTIRUN:  # the other rows go on; Hydra names only the first that failed
+            logging.getLogger(__name__).error("%s failed: %s", row.place, error)
         raise
 
 

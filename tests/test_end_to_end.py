@@ -78,11 +78,11 @@ def test_resuming_goes_on_where_training_stopped(tiny_data: Path, tmp_path: Path
     assert state("part") == state("whole")
 
 
-def test_a_checkpoint_of_another_model_is_refused(tiny_data: Path, tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_training_is_refused(tiny_data: Path, tmp_path: Path) -> None:
     train("model.hidden_dim=8", f"hydra.run.dir={tmp_path}", data=tiny_data)
     last = tmp_path / "checkpoints" / "last.ckpt"
     printed = train(f"ckpt={last}", f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
-    assert "is of another model (model.hidden_dim=8)" in printed
+    assert "is of another training (model.hidden_dim=8)" in printed
 
 
 def test_generate_refuses_the_split_of_another_scenario(tmp_path: Path) -> None:

@@ -22,10 +22,9 @@ def test_the_model_of_the_page_trains_and_appears_in_the_report(tiny_data: Path,
         path.write_text(content)
 
     def command(script: str, *arguments: str) -> str:
-        path = f"hydra.searchpath=[file://{tmp_path / 'conf'}]"
         environment = os.environ | {"PYTHONPATH": str(tmp_path)}
         result = subprocess.run(
-            [sys.executable, str(ROOT / "src" / script), path, *arguments],
+            [sys.executable, str(ROOT / "src" / script), "--config-dir", str(tmp_path / "conf"), *arguments],
             capture_output=True, text=True, timeout=300, check=False, env=environment,
         )  # fmt: skip
         assert result.returncode == 0, result.stderr[-3000:]

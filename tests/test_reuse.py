@@ -38,3 +38,28 @@ def test_a_failed_row_is_noted_and_the_others_run(tiny_data: Path, tmp_path: Pat
     train(*sweep, data=tiny_data, code=1)  # tiny data hold no test experiment of the first split
     assert "leaves no test experiments" in json.loads(next(tmp_path.rglob("failure.json")).read_text())["error"]
     assert [path.parts[-6] for path in tmp_path.rglob("metrics.json")] == ["all"]
+
+
+def test_a_training_of_other_code_is_not_reused(tiny_data: Path, tmp_path: Path, monkeypatch) -> None:
+    """A model of one's own, whose helper changes."""
+    (tmp_path / "own.py").write_text(
+        "from torch import nn\nfrom cophy.models.copying import CopyC\nfrom helper import SCALE\n\n"
+        "class Own(CopyC):\n    def __init__(self):\n        super().__init__()\n        self.linear = nn.Linear(3, 3)\n\n"
+        "    def forward(self, batch):\n        copied = super().forward(batch)\n"
+        "        return copied._replace(position=copied.position + SCALE * self.linear(copied.position))\n"
+    )
+    (tmp_path / "conf" / "model").mkdir(parents=True)
+    (tmp_path / "conf" / "model" / "own.yaml").write_text("_target_: own.Own\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    place = ("--config-dir", tmp_path / "conf", "model=own", "scenario=collision", f"hydra.run.dir={tmp_path / 'run'}")
+    for scale, reused in ((1, False), (1, True), (2, False)):
+        (tmp_path / "helper.py").write_text(f"SCALE = {scale}\n")
+        assert ("trained already" in train(*place, data=tiny_data)) == reused
+
+
+def test_checkpoints_of_an_earlier_training_are_not_tested(tiny_data: Path, tmp_path: Path) -> None:
+    """A training that never validates has no best checkpoint; the old one must not stand in for it."""
+    train("scenario=collision", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    without = ("trainer.limit_val_batches=0", "training.learning_rate=0.001")
+    train("scenario=collision", *without, f"hydra.run.dir={tmp_path}", data=tiny_data, code=1)
+    assert not (tmp_path / "metrics.json").exists()

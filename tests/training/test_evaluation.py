@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from cophy.training.evaluation import interval, mean
+from cophy.errors import CophyError
+from cophy.training.evaluation import evaluate, interval, mean
+from cophy.training.prediction import PredictionModule
 from cophy.training.probe import probe
-from cophy.types import Batch
+from cophy.types import Batch, Prediction
+from tests.conftest import settings
 
 
 def test_experiments_that_do_not_count_are_left_out() -> None:
@@ -14,15 +17,49 @@ def test_experiments_that_do_not_count_are_left_out() -> None:
 
 
 def test_the_interval_covers_the_mean_as_often_as_it_says() -> None:
+    """Also where twins err alike: it is over pairs."""
     rng = np.random.default_rng(0)
-    covered = [low <= 1.0 <= high for low, high in (interval(rng.exponential(1.0, 100)) for _ in range(300))]
-    assert 0.90 <= np.mean(covered) <= 0.97
+    for alike in (1, 2):
+        samples = (np.repeat(rng.exponential(1.0, 200 // alike), alike) for _ in range(300))
+        covered = [low <= 1.0 <= high for low, high in map(interval, samples)]
+        assert 0.90 <= np.mean(covered) <= 0.97
 
 
-def test_the_interval_shrinks_with_the_root_of_the_experiments() -> None:
-    values = np.random.default_rng(0).normal(size=10000)
-    width = [np.ptp(interval(values[:count])) for count in (100, 10000)]
-    assert width[0] / width[1] == pytest.approx(10, rel=0.25)
+def test_the_interval_leaves_out_what_does_not_count() -> None:
+    values = np.random.default_rng(0).normal(size=400)
+    holes = np.concatenate([values, np.full(40, np.nan)])
+    assert interval(holes) == pytest.approx(interval(values))
+
+
+def test_a_prediction_that_is_not_finite_is_an_error(tower_batch: Batch, scenario_of) -> None:
+    scenario = scenario_of("blocktower")
+    position = tower_batch.target.clone()
+    position[3, 5] = torch.nan
+    with pytest.raises(CophyError, match="not finite"):
+        evaluate(Prediction(position), tower_batch, scenario)
+    absent = torch.where(tower_batch.presence[:, None, :, None], tower_batch.target, torch.nan)
+    assert evaluate(Prediction(absent), tower_batch, scenario)["mse"].max() == 0  # what is absent does not matter
+
+
+WRONG = {
+    "a tensor": lambda batch: batch.target,
+    "a frame too many": lambda batch: Prediction(batch.observed),
+    "one step for all": lambda batch: Prediction(batch.target[:, :1]),
+    "boolean stability": lambda batch: Prediction(batch.target, batch.stable),
+    "an estimate without slots": lambda batch: Prediction(batch.target, None, batch.initial[:, 0]),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_prediction_is_refused_in_one_line(wrong: str, tower_batch: Batch) -> None:
+    class Wrong(torch.nn.Module):
+        def forward(self, batch: Batch) -> Prediction:
+            return WRONG[wrong](batch)
+
+    chosen = settings("train")
+    module = PredictionModule(Wrong(), chosen.training, chosen.scenario, np.eye(2)[None], config={})
+    with pytest.raises(CophyError, match="Wrong returns"):
+        module(tower_batch)
 
 
 def labelled(count: int, seed: int) -> tuple[torch.Tensor, Batch]:
@@ -34,7 +71,8 @@ def labelled(count: int, seed: int) -> tuple[torch.Tensor, Batch]:
     noise = torch.randn(count, 2, 4, generator=generator)
     estimate = noise + 20 * classes[..., :1] * torch.tensor([1.0, 0, 0, 0])
     empty = torch.zeros(0)
-    batch = Batch(empty, presence, empty, empty, presence, empty, classes, empty, empty)
+    fields = dict.fromkeys(Batch._fields, empty)
+    batch = Batch(**{**fields, "observed_presence": presence, "presence": presence, "confounder_class": classes})
     return torch.where(presence[..., None], estimate, 1e6), batch
 
 
@@ -44,3 +82,14 @@ def test_the_probe_finds_what_is_there_and_nothing_else() -> None:
     assert values["probe_friction_accuracy"] == pytest.approx(0.5, abs=0.04)
     assert values["probe_accuracy"] == pytest.approx(0.5, abs=0.04)
     assert values["probe_chance"] == pytest.approx(0.25, abs=0.03)
+
+
+def test_the_probe_of_a_constant_is_right() -> None:
+    (estimate, batch), test = labelled(200, 0), labelled(200, 1)
+
+    def constant(batch: Batch) -> Batch:
+        return batch._replace(confounder_class=batch.confounder_class * torch.tensor([1, 0]))
+
+    values = probe((estimate, constant(batch)), (test[0], constant(test[1])))
+    assert values["probe_friction_accuracy"].mean() == 1.0
+    assert values["probe_mass_accuracy"].mean() == 1.0

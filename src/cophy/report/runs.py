@@ -16,29 +16,28 @@ log = logging.getLogger(__name__)
 
 NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "size")
 COUNTS = ("num_train", "num_test", "training_seconds", "wall_seconds")
+NOT_COMPARED = {"scenario.task.splits"}  # a split more changes no run
 
 
 def read_runs(outputs: Path, configuration_of: Callable[[dict[str, Any]], dict[str, Any]]) -> pd.DataFrame:
     """Runs, one line each: names, directory, counts, epochs, every test metric and its interval (`_low`, `_high`).
 
-    A failed run has its `error` instead, which is None for the others. configuration_of: from a run's names to the
-    dotted keys that they stand for. A run whose own configuration differs (an override on the command line beats a
-    row's setting) fills no table; the log names it.
+    Only what lies where train.py puts it is read, so that no two runs share their names. A failed run has its `error`
+    instead of results, which is None for the others. configuration_of: from a run's names to the dotted keys that they
+    stand for. A run whose own configuration differs (an override on the command line beats a row's setting) fills no
+    table; the log names it.
     """
+    places = [f"*/*/*/*/*/seed*/{name}" for name in ("metrics.json", "failure.json")]
     lines = []
-    for path in sorted([*outputs.rglob("metrics.json"), *outputs.rglob("failure.json")]):
+    for path in sorted(found for place in places for found in outputs.glob(place)):
         try:
             line = _failure(path) if path.name == "failure.json" else _read(path)
+            changes = _misplaced(line, path.parent)
             if line["error"] is None:
                 own: Any = OmegaConf.load(path.parent / ".hydra" / "config.yaml")
                 line["epochs"] = int(own.trainer.max_epochs)
-                changes = [
-                    change
-                    for key, expected in configuration_of(line).items()
-                    for change in _differences(key, _plain(own, key), expected)
-                ]
-            else:
-                changes = []
+                for key, expected in configuration_of(line).items():
+                    changes += _differences(key, _plain(own, key), expected)
         except (ValueError, KeyError, TypeError, OSError, OmegaConfBaseException, HydraException, YAMLError) as error:
             log.warning("%s is skipped: %s: %s", path, type(error).__name__, " ".join(str(error).split()))
             continue
@@ -56,16 +55,21 @@ def metrics_of(runs: pd.DataFrame) -> list[str]:
 
 def summary(runs: pd.DataFrame) -> pd.DataFrame:
     """Every row that was run: cost, and each test metric, mean over seeds, ± standard deviation where there are several."""
-    finished = runs[runs["error"].isna()] if len(runs) else runs
+    if runs.empty:
+        return runs
     rows = []
-    for choice, found in (
-        finished.groupby(["scenario", "split", "model", "ablation", "positions", "size"]) if len(finished) else []
-    ):
-        line = {"run": " ".join(str(name) for name in choice), "seeds": str(len(found))}
-        line["training (s)"] = f"{found['training_seconds'].mean():.0f}"
+    for choice, found in runs.groupby(["scenario", "split", "model", "ablation", "positions", "size"]):
+        line = {"run": " ".join(str(name) for name in choice), "seeds": _seeds(found)}
+        if "training_seconds" in found and found["training_seconds"].notna().any():
+            line["training (s)"] = f"{found['training_seconds'].mean():.0f}"
         line |= {metric.replace("_", " "): _show(found[metric].dropna()) for metric in metrics_of(found)}
         rows.append(line)
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows).fillna("—")
+
+
+def _seeds(found: pd.DataFrame) -> str:
+    failed = int(found["error"].notna().sum())
+    return f"{len(found) - failed}" + (f" ({failed} failed)" if failed else "")
 
 
 def _show(values: "pd.Series[float]") -> str:
@@ -76,7 +80,7 @@ def _show(values: "pd.Series[float]") -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     content = json.loads(path.read_bytes())
-    line = {name: content[name] for name in (*NAMES, *COUNTS)} | {"error": None}
+    line = {name: content[name] for name in (*NAMES, *COUNTS, "dataset_ids")} | {"error": None}
     for name, value in content["metrics"].items():
         low, high = content["intervals"][name]
         line |= {name: float(value), f"{name}_low": float(low), f"{name}_high": float(high)}
@@ -88,6 +92,11 @@ def _failure(path: Path) -> dict[str, Any]:
     return {name: content[name] for name in (*NAMES, "error")}
 
 
+def _misplaced(line: dict[str, Any], directory: Path) -> list[str]:
+    names = [str(line[name]) for name in NAMES[:5]] + [f"seed{line['seed']}"]
+    return [] if list(directory.parts[-6:]) == names else [f"it says it is {'/'.join(names)}"]
+
+
 def _plain(config: Any, key: str) -> Any:
     node = OmegaConf.select(config, key)
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
@@ -97,4 +106,4 @@ def _differences(key: str, own: Any, expected: Any) -> list[str]:
     if isinstance(own, dict) and isinstance(expected, dict):
         inside = sorted(own.keys() | expected.keys())
         return [found for name in inside for found in _differences(f"{key}.{name}", own.get(name), expected.get(name))]
-    return [] if own == expected else [f"{key}={own}"]
+    return [] if own == expected or key in NOT_COMPARED else [f"{key}={own}"]

@@ -130,7 +130,9 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
     }
     size, num_train, num_test, epochs, seeds = (", ".join(map(str, chosen)) for chosen in values.values())
     notes.append(f"Size {size}: {num_train} training and {num_test} test experiments; {epochs} epochs; seeds {seeds}.")
-    notes.append("[ ]: 95 % bootstrap interval over test experiments; ±: standard deviation over seeds.")
+    notes.append(
+        "[ ]: 95 % bootstrap interval over the twin pairs of the test split; ±: standard deviation over seeds."
+    )
     if "gt_confounders" in used["ablation"].to_numpy():
         notes.append(
             "Where the true confounders are given, they include what positions hide: initial velocity, shape and orientation."

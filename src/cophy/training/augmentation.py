@@ -1,9 +1,20 @@
 """Every training experiment, turned and mirrored at random as the symmetries of its scenario allow."""
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from cophy.dataset.splits import Part
+from cophy.scenario import Scenario
 from cophy.types import HORIZONTAL, Batch
+
+
+def symmetries_for(part: Part, scenario: Scenario) -> np.ndarray:
+    """(S, 2, 2): the scenario's, or the identity alone where only seen configurations may be trained on (†).
+
+    Turning an experiment turns its gravity: into that of a configuration that training shall not see.
+    """
+    return scenario.symmetries() if part.configurations is None else scenario.symmetries()[:1]
 
 
 def augment(batch: Batch, symmetries: Tensor) -> Batch:

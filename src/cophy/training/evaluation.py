@@ -1,8 +1,10 @@
 """A test in numbers: every measure per experiment, its mean, and a bootstrap interval."""
 
 import numpy as np
+import torch
 from scipy.stats import bootstrap
 
+from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.training.metrics import pixel_measures, position_measures, stability_measures
 from cophy.types import Batch, Prediction
@@ -11,7 +13,12 @@ RESAMPLES = 2000
 
 
 def evaluate(prediction: Prediction, batch: Batch, scenario: Scenario) -> dict[str, np.ndarray]:
-    """Every measure that applies -> (experiment,) values; NaN where an experiment does not count."""
+    """Every measure that applies -> (experiment,) values; NaN where an experiment does not count.
+
+    A prediction that is not finite is an error: it must not drop out of a mean.
+    """
+    if not torch.isfinite(prediction.position[batch.presence[:, None].expand(prediction.position.shape[:3])]).all():
+        raise CophyError("the model predicts positions that are not finite: lower training.learning_rate")
     num_objects = int(batch.presence.sum(dim=1).max())
     measures = position_measures(scenario.task) | pixel_measures(scenario.task, scenario.camera, num_objects)
     if prediction.stable_logit is not None:
@@ -25,9 +32,19 @@ def mean(values: np.ndarray) -> float:
 
 
 def interval(values: np.ndarray) -> tuple[float, float]:
-    """Bootstrap 95 % interval of the mean, by resampling experiments (percentiles; the same at every call)."""
-    counting = values[~np.isnan(values)]
+    """Bootstrap 95 % interval of the mean (percentiles; the same at every call).
+
+    Twin pairs are resampled, not experiments: twins share A, C and the do-operation, and so much of their error.
+    """
+    pairs = values.reshape(-1, 2)
+    counting = pairs[~np.isnan(pairs).all(axis=1)]
     if len(counting) < 2:
         return mean(values), mean(values)
-    result = bootstrap((counting,), np.mean, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0))
+    result = bootstrap(
+        (np.arange(len(counting)),),
+        lambda rows, axis: np.nanmean(counting[rows], axis=(-2, -1)),
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    )
     return float(result.confidence_interval.low), float(result.confidence_interval.high)

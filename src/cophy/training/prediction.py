@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import lightning as L
+import numpy as np
 import torch
 from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
 from torch import Tensor, nn
@@ -25,17 +26,25 @@ TensorTuple = TypeVar("TensorTuple", Batch, Prediction)
 class PredictionModule(L.LightningModule):
     """Any network from `Batch` to `Prediction`, under the paper's losses and metrics.
 
-    config: the run's resolved configuration as plain values; it travels in every checkpoint. After a test, `tested`
+    symmetries: what training experiments are turned by at random, see `augmentation`. config: the run's resolved configuration as plain values; it travels in every checkpoint. After a test, `tested`
     holds the predictions and what they were made for, on the CPU.
     """
 
     tested: tuple[Prediction, Batch]
     symmetries: Tensor
 
-    def __init__(self, network: nn.Module, training: Training, scenario: Scenario, *, config: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        network: nn.Module,
+        training: Training,
+        scenario: Scenario,
+        symmetries: np.ndarray,
+        *,
+        config: dict[str, Any],
+    ) -> None:
         super().__init__()
         self.network, self.training_settings, self.config = network, training, config
-        self.register_buffer("symmetries", torch.from_numpy(scenario.symmetries()).float(), persistent=False)
+        self.register_buffer("symmetries", torch.from_numpy(symmetries).float(), persistent=False)
         self.confounder_heads = _confounder_heads(network, scenario) if training.confounder_weight else None
         measures = {"position": position_measures(scenario.task), "stability": stability_measures()}
         self.metrics = nn.ModuleDict(
@@ -48,11 +57,12 @@ class PredictionModule(L.LightningModule):
         return any(parameter.requires_grad for parameter in self.network.parameters())
 
     def forward(self, batch: Batch) -> Prediction:
-        return self.network(batch)
+        prediction = self.network(batch)
+        _check_shapes(prediction, batch, self.network)
+        return prediction
 
     def training_step(self, batch: Batch) -> Tensor:
-        if self.training_settings.augmentation:
-            batch = augment(batch, self.symmetries)
+        batch = augment(batch, self.symmetries)
         prediction = self(batch)
         self._measure("train", prediction, batch)
         return self._loss("train", prediction, batch)
@@ -114,10 +124,32 @@ def _confounder_heads(network: nn.Module, scenario: Scenario) -> nn.ModuleList:
     width = getattr(network, "estimate_dim", None)
     if not width:
         raise CophyError(
-            "training.confounder_weight (ablation=supervised_confounders) needs a model that estimates confounders from AB"
+            "training.confounder_weight (ablation=supervised_confounders) needs a model that estimates confounders from AB, "
+            "with an attribute estimate_dim"
         )
     grid = scenario.confounders
     return nn.ModuleList(nn.Linear(width, len(values)) for values in (grid.mass, grid.friction))
+
+
+def _check_shapes(prediction: Prediction, batch: Batch, network: nn.Module) -> None:
+    """A model of one's own is easily wrong here, and tensors that broadcast would be wrong silently."""
+    name = type(network).__name__
+    if not isinstance(prediction, Prediction):
+        raise CophyError(f"{name} returns {type(prediction).__name__}, not cophy.types.Prediction")
+    size, steps, slots, _ = batch.target.shape
+    expected: list[tuple[str, Tensor | None, tuple[tuple[int, ...], ...]]] = [
+        ("position", prediction.position, ((size, steps, slots, 3),)),
+        ("stable_logit", prediction.stable_logit, ((size, steps, slots), (size, 1, slots))),
+    ]
+    if prediction.confounder_estimate is not None:
+        width = getattr(network, "estimate_dim", prediction.confounder_estimate.shape[-1])
+        expected.append(("confounder_estimate", prediction.confounder_estimate, ((size, slots, width),)))
+    for field, tensor, shapes in expected:
+        if tensor is not None and (tuple(tensor.shape) not in shapes or not tensor.is_floating_point()):
+            choices = " or ".join(map(str, shapes))
+            raise CophyError(
+                f"{name} returns {field} {tensor.dtype} of shape {tuple(tensor.shape)}, not floats of {choices}"
+            )
 
 
 def _map(function: Callable[..., Tensor], *tuples: TensorTuple) -> TensorTuple:

@@ -10,6 +10,8 @@ from torch import Tensor, nn
 from cophy.training.metrics import over_objects
 from cophy.types import Batch
 
+MOST_VALUES = 1000  # more than any grid has of friction
+
 
 def estimate(network: nn.Module, batch: Batch, *, batch_size: int) -> Tensor | None:
     """The estimate U (experiment, slot, hidden) of all experiments, or None if the network makes none."""
@@ -38,10 +40,14 @@ def probe(train: tuple[Tensor, Batch], test: tuple[Tensor, Batch]) -> dict[str, 
         return over_objects(scattered, test[1].observed_presence).numpy()
 
     def accuracy(name: str) -> np.ndarray:
+        values = np.unique(seen[name])
+        if len(values) == 1:  # a confounder that is a constant
+            return per_experiment(asked[name] == values[0])
         classifier = make_pipeline(StandardScaler(), LogisticRegression(max_iter=1000))
         return per_experiment(classifier.fit(fitted, seen[name]).predict(tested) == asked[name])
 
-    most_frequent = np.bincount(seen["mass and friction"]).argmax()
+    values, counts = np.unique(seen["mass and friction"], return_counts=True)
+    most_frequent = values[counts.argmax()]
     return {
         "probe_accuracy": accuracy("mass and friction"),
         "probe_mass_accuracy": accuracy("mass"),
@@ -52,4 +58,4 @@ def probe(train: tuple[Tensor, Batch], test: tuple[Tensor, Batch]) -> dict[str, 
 
 def _classes(batch: Batch) -> dict[str, np.ndarray]:
     mass, friction = batch.confounder_class[batch.observed_presence].numpy().T
-    return {"mass": mass, "friction": friction, "mass and friction": mass * (friction.max() + 1) + friction}
+    return {"mass": mass, "friction": friction, "mass and friction": mass * MOST_VALUES + friction}

@@ -25,13 +25,17 @@ WITHOUT_EFFECT = {"enable_progress_bar", "enable_model_summary", "log_every_n_st
 
 
 def fingerprint(data: CounterfactualDataModule, network: nn.Module, resolved: dict[str, Any]) -> str:
-    """Hash of training data, model, training, trainer, seed, the code of all that and the version of torch."""
+    """Hash of training data, model, training, trainer, seed, the code and the version of torch.
+
+    The code is that of this package and of all modules beside the model's own. Which device was used is not part of it.
+    """
     depends_on = {
         "data": [data.train_spec.id, asdict(data.split.train), asdict(data.scenario.task), resolved["positions"]],
         "model": resolved["model"],
         "training": resolved["training"],
         "trainer": {key: value for key, value in resolved["trainer"].items() if key not in WITHOUT_EFFECT},
         "seed": resolved["seed"],
+        "threads": resolved["threads"],
         "code": _hash_of_sources(network),
         "torch": torch.__version__,
     }
@@ -55,6 +59,7 @@ def adopt(found: Path, row: Row) -> float:
     """Copy finished checkpoints into the row; returns the seconds that their training took."""
     own = row.directory / "checkpoints"
     if found.resolve() != own.resolve():
+        forget(row)
         own.mkdir(parents=True, exist_ok=True)
         for name in (*CHECKPOINTS, FINISHED):
             shutil.copyfile(found / name, own / name)
@@ -62,8 +67,9 @@ def adopt(found: Path, row: Row) -> float:
 
 
 def forget(row: Row) -> None:
-    """Before training: checkpoints that are about to change are not finished."""
-    (row.directory / "checkpoints" / FINISHED).unlink(missing_ok=True)
+    """Before training anew: what lies there is not what will be tested."""
+    for name in (FINISHED, "best.ckpt"):
+        (row.directory / "checkpoints" / name).unlink(missing_ok=True)
 
 
 def record(row: Row, of: str, *, training_seconds: float) -> None:
@@ -81,8 +87,7 @@ def _read(checkpoints: Path) -> dict[str, Any]:
 
 
 def _hash_of_sources(network: nn.Module) -> str:
-    package = Path(cophy.__file__).parent
-    sources = sorted(path for layer in ("dataset", "models", "training") for path in (package / layer).glob("*.py"))
-    own = inspect.getsourcefile(type(network))
-    sources += [Path(own)] if own else []
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+    package, own = Path(cophy.__file__).parent, inspect.getsourcefile(type(network))
+    sources = {path for path in package.rglob("*.py") if path.parent != package / "report"}
+    sources |= set(Path(own).parent.glob("*.py")) if own else set()
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(sources))).hexdigest()

@@ -73,4 +73,3 @@ class Row:
         """Leave a note that the run failed, so that the report can say so."""
         content = {**self.names(), "error": " ".join(f"{type(error).__name__}: {error}".split())}
         write_atomically(self.directory / FAILURE, (json.dumps(content, indent=2) + "\n").encode())
-        log.error("%s failed: %s", self.place, content["error"])

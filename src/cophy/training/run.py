@@ -18,6 +18,7 @@ from cophy.config import TrainConfig
 from cophy.dataset.datamodule import CounterfactualDataModule
 from cophy.errors import CophyError
 from cophy.training import reuse
+from cophy.training.augmentation import symmetries_for
 from cophy.training.callbacks import PredictionFigures, ResumeHint
 from cophy.training.evaluation import evaluate
 from cophy.training.prediction import PredictionModule
@@ -49,7 +50,9 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
         workers=settings.workers,
     )
     network = build_network(resolved["model"])
-    module = PredictionModule(network, settings.training, settings.scenario, config=resolved)
+    turns = symmetries_for(settings.split.train, settings.scenario)
+    symmetries = turns if settings.training.augmentation else turns[:1]
+    module = PredictionModule(network, settings.training, settings.scenario, symmetries, config=resolved)
     trainer = _trainer(settings, row.directory)
     assert isinstance(trainer.logger, TensorBoardLogger)
     compared = row.names() | _flatten({part: resolved[part] for part in ("model", "training", "trainer")})
@@ -86,6 +89,8 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
 def build_network(model: dict[str, Any]) -> nn.Module:
     """The network that `model._target_` names, built from the remaining keys; anything but a torch module is refused."""
     arguments = {key: value for key, value in model.items() if key != "_target_"}
+    if "_target_" not in model:
+        raise CophyError("model._target_ is missing: it names the class of the model")
     try:
         kind = get_class(model["_target_"])
     except Exception as error:
@@ -115,7 +120,8 @@ def _train(
     if found is not None:
         log.info("trained already, on the same data with the same settings: %s (reuse=false trains again)", found)
         return reuse.adopt(found, row)
-    reuse.forget(row)
+    if resume is None:
+        reuse.forget(row)
     start = time.monotonic()
     trainer.fit(module, data, ckpt_path=resume, weights_only=True)
     seconds = time.monotonic() - start
@@ -149,14 +155,21 @@ def _resumable(ckpt: str | None, resolved: dict[str, Any]) -> str | None:
     if not Path(ckpt).is_file():
         raise CophyError(f"ckpt={ckpt} is no file")
     try:
-        model = torch.load(ckpt, map_location="cpu", weights_only=True)["config"]["model"]
+        trained = _weights_depend_on(torch.load(ckpt, map_location="cpu", weights_only=True)["config"])
     except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
         raise CophyError(f"ckpt={ckpt} is no checkpoint of train.py, or a damaged one") from error
-    differing = {key for key in model.keys() | resolved["model"].keys() if model.get(key) != resolved["model"].get(key)}
+    wanted = _weights_depend_on(resolved)
+    differing = [key for key in sorted(trained.keys() | wanted.keys()) if trained.get(key) != wanted.get(key)]
     if differing:
-        keys = ", ".join(f"model.{key}={model.get(key)}" for key in sorted(differing))
-        raise CophyError(f"ckpt={ckpt} is of another model ({keys}): train it with the same, or another one anew")
+        keys = ", ".join(f"{key}={trained.get(key)}" for key in differing)
+        raise CophyError(f"ckpt={ckpt} is of another training ({keys}): go on with the same settings, or start anew")
     return ckpt
+
+
+def _weights_depend_on(config: dict[str, Any]) -> dict[str, Any]:
+    """The keys that a resumed training must share with the one it goes on from; it may be longer."""
+    parts = {"scenario": config["scenario"], "split.train": config["split"]["train"]}
+    return _flatten(parts | {key: config[key] for key in ("model", "training", "positions", "data_seed", "size")})
 
 
 def _flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
