@@ -95,7 +95,6 @@ MISTAKES = {
     "model=in ablation=feedforward": "ablation=feedforward does not go with this model: Invalid value 'none'",
     "model=npe ablation=mlp": "ablation=mlp does not go with this model: Key 'interaction'",
     "model=in ablation=supervised_confounders": "needs a model that estimates confounders from AB, with an attribute",
-    "~model._target_": "model._target_ is missing",
     "model=npe model.radius=0": "model.radius=0.0 must be positive",
     "model.interaction=mlp": "model.interaction=mlp needs model.slots",
     "+table=bals": "table=bals does not exist (did you mean balls?)",

@@ -8,6 +8,7 @@ from cophy.errors import CophyError
 from cophy.training.evaluation import evaluate, interval, mean
 from cophy.training.prediction import PredictionModule
 from cophy.training.probe import probe
+from cophy.training.run import build_network
 from cophy.types import Batch, Prediction
 from tests.conftest import settings
 
@@ -93,3 +94,8 @@ def test_the_probe_of_a_constant_is_right() -> None:
     values = probe((estimate, constant(batch)), (test[0], constant(test[1])))
     assert values["probe_friction_accuracy"].mean() == 1.0
     assert values["probe_mass_accuracy"].mean() == 1.0
+
+
+def test_a_model_without_a_class_is_refused() -> None:
+    with pytest.raises(CophyError, match="_target_ is missing"):
+        build_network({"hidden_dim": 32})
