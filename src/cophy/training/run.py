@@ -131,19 +131,15 @@ def _train(
 
 
 def _trainer(settings: TrainConfig, directory: Path) -> L.Trainer:
-    checkpoints = ModelCheckpoint(
-        directory / "checkpoints",
-        filename="best",
-        monitor="val/mse",
-        save_last=True,
-        enable_version_counter=False,
-    )
+    checkpoints = directory / "checkpoints"
     logger = TensorBoardLogger(directory, name="tensorboard", version="", default_hp_metric=False)
     callbacks = [
-        checkpoints,
+        ModelCheckpoint(checkpoints, filename="best", monitor="val/mse", enable_version_counter=False),
+        # apart from the best: with save_last=True Lightning 2.6 writes the last one only when it is the best
+        ModelCheckpoint(checkpoints, filename="last", enable_version_counter=False),
         LearningRateMonitor("epoch"),
         PredictionFigures(settings.figures_every_n_epochs),
-        ResumeHint(directory / "checkpoints" / "last.ckpt"),
+        ResumeHint(checkpoints / "last.ckpt"),
     ]
     return L.Trainer(logger=logger, callbacks=callbacks, default_root_dir=directory, **vars(settings.trainer))
 
