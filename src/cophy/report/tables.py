@@ -56,9 +56,7 @@ class FilledTable:
         paper = MISSING if pd.isna(value["paper"]) else number(value["paper"])
         if not value["seeds"]:
             return f"{FAILED if value['failed'] else MISSING} / {paper}"
-        spread = (
-            f"± {number(value['sd'])}" if value["seeds"] > 1 else f"[{number(value['low'])}, {number(value['high'])}]"
-        )
+        spread = f"± {number(value['sd'])}" if value["sd"] > 0 else f"[{number(value['low'])}, {number(value['high'])}]"
         ours = number(value["ours"])
         failed = f" ({value['failed']} failed)" if value["failed"] else ""
         return (

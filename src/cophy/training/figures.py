@@ -59,8 +59,9 @@ def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: flo
     """One line per model: the error of `error_over_time` against the time in seconds."""
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axis = figure.subplots()
-    for name, curve in curves.items():
-        axis.plot((1 + np.arange(len(curve))) / frame_rate_hz, curve, label=name, lw=1.5)
+    for n, (name, curve) in enumerate(curves.items()):
+        dashes = "-" if n < 10 else "--"  # there are ten colours
+        axis.plot((1 + np.arange(len(curve))) / frame_rate_hz, curve, dashes, label=name, lw=1.5)
     axis.set(xlabel="time (s)", ylabel="position error (m)", title=title, xlim=(0, None), ylim=(0, None))
     axis.grid(alpha=0.2)
     if len(curves) > 1:
