@@ -43,5 +43,5 @@ def test_energy_never_grows(name: str, tolerance: float, simulator: Simulator) -
 
 
 def test_balls_seldom_gain_energy(simulator: Simulator) -> None:
-    """They should never: some impacts of several bodies at once do (README, What is in the data)."""
+    """They should never; some impacts do, and why was not found out yet (README, What is in the data)."""
     assert np.mean(largest_gains("balls", simulator) > 0.005) <= 0.2
