@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from cophy.dataset.counterfactual import CounterfactualDataset, confounder_statistics, standardise, to_batch
-from cophy.types import CONFOUNDERS
+from cophy.types import CONFOUNDERS, HORIZONTAL
 
 
 def test_frames_are_every_fourth_state(tiny) -> None:
@@ -30,9 +30,15 @@ def test_confounders_are_standardised_over_present_objects(tiny) -> None:
     raw = to_batch(arrays, spec.scenario)
     batch = standardise(raw, confounder_statistics(raw))
     values = batch.confounders[batch.observed_presence]
-    varies = raw.confounders[raw.observed_presence].std(dim=0) > 0
-    torch.testing.assert_close(values.mean(dim=0), torch.zeros(len(CONFOUNDERS)), atol=1e-5, rtol=0)
-    torch.testing.assert_close(values.std(dim=0), varies.float(), atol=1e-5, rtol=0)
+    varies = raw.confounders[raw.observed_presence].abs().sum(dim=0) > 0
+    horizontal = [column for pair in HORIZONTAL for column in pair]
+    scalars = [column for column in range(len(CONFOUNDERS)) if column not in horizontal]
+    varies[scalars] = raw.confounders[raw.observed_presence].std(dim=0)[scalars] > 0
+    torch.testing.assert_close(values.mean(dim=0)[scalars], torch.zeros(len(scalars)), atol=1e-5, rtol=0)
+    torch.testing.assert_close(values.std(dim=0)[scalars], varies[scalars].float(), atol=1e-5, rtol=0)
+    for pair in HORIZONTAL:  # one scale for both components, so that directions stay what they are
+        size = values[:, pair].square().mean().sqrt()
+        torch.testing.assert_close(size, varies[pair].any().float(), atol=1e-5, rtol=0)
     assert not batch.confounders[~batch.observed_presence].any()
 
 
