@@ -56,7 +56,8 @@ class FilledTable:
         paper = MISSING if pd.isna(value["paper"]) else number(value["paper"])
         if not value["seeds"]:
             return f"{FAILED if value['failed'] else MISSING} / {paper}"
-        spread = f"± {number(value['sd'])}" if value["sd"] > 0 else f"[{number(value['low'])}, {number(value['high'])}]"
+        varies = value["seeds"] > 1 and float(number(value["sd"])) > 0  # copies are the same whatever the seed
+        spread = f"± {number(value['sd'])}" if varies else f"[{number(value['low'])}, {number(value['high'])}]"
         ours = number(value["ours"])
         failed = f" ({value['failed']} failed)" if value["failed"] else ""
         return (
