@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cophy.scenario.do_operations import Displace, DoOperation, Remove
-from cophy.scenario.scene import Body, Scene, Shape
+from cophy.scenario.energy import largest_gain
+from cophy.scenario.scene import Body, Scene, Shape, Trajectory
 from cophy.scenario.search import SimulatedSearch
 from cophy.scenario.surroundings import floor, walls
 from cophy.scenario.symmetry import square
@@ -21,6 +22,7 @@ class Balls(SimulatedSearch):
     min_gap: float  # between any two balls, and to the walls, in A and C
     speed: list[float]  # of every ball at t = 0, in a random direction: smallest and largest
     displacement: list[float]  # smallest and largest, in a random direction
+    max_energy_gain: float  # between two states, as a share of the energy at the start
 
     @classmethod
     def known_do_operations(cls) -> tuple[str, ...]:
@@ -71,6 +73,10 @@ class Balls(SimulatedSearch):
             moved[index] += (x, y)
             if self._apart(moved) and np.abs(moved).max() <= reach:
                 return Displace(_slot(balls[index]), (float(x), float(y), 0.0))
+
+    def fit(self, scene: Scene, trajectory: Trajectory) -> bool:
+        """Whether the sequence stays in sight and gains no energy from an impact that the solver resolves wrongly."""
+        return super().fit(scene, trajectory) and largest_gain(scene, trajectory) <= self.max_energy_gain
 
     def _apart(self, centres: np.ndarray) -> bool:
         distance = np.linalg.norm(centres[:, None] - centres, axis=-1)

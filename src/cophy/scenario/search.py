@@ -61,14 +61,15 @@ class SimulatedSearch(Scenario):
         )
 
     def _different_outcomes(self, scenes: list[Scene], simulator: Simulator) -> tuple[Trajectory, Trajectory] | None:
-        """Both twins' trajectories, if they differ significantly and stay in sight."""
+        """Both twins' trajectories, if they are fit to be kept and differ significantly."""
         first = self.simulate(simulator, scenes[0])
-        if not self._in_sight(first):
+        if not self.fit(scenes[0], first):
             return None
         second = self.simulate(simulator, scenes[1])
-        if not self._in_sight(second) or trajectory_distance(first, second) < self.min_difference:
+        if not self.fit(scenes[1], second) or trajectory_distance(first, second) < self.min_difference:
             return None
         return first, second
 
-    def _in_sight(self, trajectory: Trajectory) -> bool:
+    def fit(self, scene: Scene, trajectory: Trajectory) -> bool:
+        """Whether a simulated sequence may be kept: every object stays in sight."""
         return bool(np.abs(trajectory.positions[..., :2]).max() <= self.extent)
