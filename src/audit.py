@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from cophy import cli, config
-from cophy.dataset import store
 from cophy.dataset.audit import audit
+from cophy.dataset.states import States
 from generate import specs
 
 config.register()
@@ -21,10 +21,10 @@ def main(cfg: DictConfig) -> None:
     settings: config.GenerateConfig = cli.to_config(cfg)
     sound = True
     for spec in specs(settings):
-        directory = spec.directory(Path(settings.data_dir))
-        checks = list(audit(store.load(directory, spec), spec))
+        states = States(spec, Path(settings.data_dir))
+        checks = list(audit(states.load(), spec))
         table = Table(
-            "", "check", "found", title=f"{directory}: {spec.num_experiments} experiments", title_justify="left"
+            "", "check", "found", title=f"{states.directory}: {spec.num_experiments} experiments", title_justify="left"
         )
         for check in checks:
             table.add_row("[green]ok[/]" if check.passed else "[bold red]FAILS[/]", check.name, check.found)

@@ -8,6 +8,7 @@ from omegaconf import DictConfig
 from cophy import cli, config
 from cophy.dataset import generation
 from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.states import States
 
 config.register()
 
@@ -16,7 +17,7 @@ config.register()
 def main(cfg: DictConfig) -> None:
     settings: config.GenerateConfig = cli.to_config(cfg)
     for spec in specs(settings):
-        generation.generate(spec, data_dir=Path(settings.data_dir), workers=settings.workers)
+        generation.make(States(spec, Path(settings.data_dir)), workers=settings.workers)
 
 
 def specs(settings: config.GenerateConfig) -> list[DatasetSpec]:

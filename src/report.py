@@ -10,7 +10,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from cophy import cli, config
-from cophy.dataset import store
+from cophy.files import write_atomically
 
 config.register()
 log = logging.getLogger(__name__)
@@ -34,7 +34,7 @@ def main(cfg: DictConfig) -> None:
             drawn[f"table-{result.table.id}"] = figures.draw_bars(result)
         else:
             log.info("%s: nothing was run yet", result.table.title)
-        store.write_atomically(directory / f"{result.table.id}.csv", result.values.to_csv(index=False).encode())
+        write_atomically(directory / f"{result.table.id}.csv", result.values.to_csv(index=False).encode())
     everything = summary(runs)
     if len(everything):
         main = [name for name in ("run", "seeds", "training (s)", "mse", "final position error") if name in everything]
@@ -47,7 +47,7 @@ def main(cfg: DictConfig) -> None:
         "runs.csv": runs.to_csv(index=False),
     }
     for name, text in written.items():
-        store.write_atomically(directory / name, text.encode())
+        write_atomically(directory / name, text.encode())
     finished = runs[runs["error"].isna()] if len(runs) else runs
     if len(finished):
         scenarios = {
@@ -59,7 +59,7 @@ def main(cfg: DictConfig) -> None:
     for name, figure in drawn.items():
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=110)
-        store.write_atomically(directory / "figures" / f"{name}.png", picture.getvalue())
+        write_atomically(directory / "figures" / f"{name}.png", picture.getvalue())
     log.info("%d runs; tables (md, tex, csv) and %d figures in %s", len(runs), len(drawn), directory)
 
 
@@ -79,6 +79,7 @@ def configuration_of(names: dict[str, Any]) -> dict[str, Any]:
 def stability_distribution(runs: Any, settings: config.ReportConfig) -> dict[str, Any]:
     """The figure of that name, from the tower datasets that the runs used, where they lie in `data_dir`."""
     from cophy.dataset.spec import DatasetSpec
+    from cophy.dataset.states import States
     from cophy.report.figures import draw_stability_distribution
 
     towers = runs[runs["scenario"] == "blocktower"]
@@ -88,13 +89,13 @@ def stability_distribution(runs: Any, settings: config.ReportConfig) -> dict[str
         for count in (3, 4):
             chosen = cli.to_config(composed("generate", "scenario=blocktower", f"size={size}"))
             spec = DatasetSpec(chosen.scenario, count, chosen.size, chosen.seed)
-            directory = spec.directory(Path(settings.data_dir))
+            states = States(spec, Path(settings.data_dir))
             if spec.id not in set(towers["dataset_ids"].explode()):
                 continue
-            if not store.is_finished(directory, spec):
-                log.info("%s is not there: no stability distribution of towers of %d", directory, count)
+            if not states.is_finished():
+                log.info("%s is not there: no stability distribution of towers of %d", states.directory, count)
                 continue
-            arrays[count] = store.load(directory, spec)
+            arrays[count] = states.load()
             standing = [stratum.endswith("stands") for stratum in chosen.scenario.strata()]
             stands[count] = [standing[stratum] for stratum in arrays[count]["stratum"]]
         if arrays:

@@ -12,9 +12,10 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from cophy import config
-from cophy.dataset import generation, store
+from cophy.dataset import generation
 from cophy.dataset.counterfactual import to_batch
 from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.states import States
 from cophy.scenario import Scenario, Simulator
 from cophy.types import Batch
 
@@ -56,7 +57,7 @@ def tiny_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory.mkdir(exist_ok=True)
     with FileLock(directory / ".session.lock"):
         for name in SCENARIOS:
-            generation.ensure(tiny_spec(name), data_dir=directory, workers=2)
+            generation.ensure(States(tiny_spec(name), directory), workers=2)
     return directory
 
 
@@ -72,11 +73,11 @@ def tiny_spec(name: str, num_objects: int | None = None, **size: Any) -> Dataset
 def tiny(request: pytest.FixtureRequest, tiny_data: Path) -> tuple[DatasetSpec, dict[str, Any]]:
     """Each scenario's tiny dataset: its spec and its arrays."""
     spec = tiny_spec(request.param)
-    return spec, store.load(spec.directory(tiny_data), spec)
+    return spec, States(spec, tiny_data).load()
 
 
 @pytest.fixture(scope="session")
 def tower_batch(tiny_data: Path) -> Batch:
     """All experiments of the tiny blocktower dataset."""
     spec = tiny_spec("blocktower")
-    return to_batch(store.load(spec.directory(tiny_data), spec), spec.scenario)
+    return to_batch(States(spec, tiny_data).load(), spec.scenario)

@@ -11,12 +11,19 @@ from pathlib import Path
 
 import pytest
 
-from cophy.dataset import generation, store
-from cophy.dataset.shard import DamagedShardError, decode, encode
+from cophy.dataset import generation
+from cophy.dataset.shardset import MANIFEST, DamagedShardError
+from cophy.dataset.states import States, decode, encode
 from cophy.errors import CophyError
 from tests.conftest import ROOT, tiny_spec
 
 SPEC = tiny_spec("collision")
+
+
+def generate(data_dir: Path, workers: int = 2) -> Path:
+    states = States(SPEC, data_dir)
+    generation.make(states, workers=workers)
+    return states.directory
 
 
 def digests(directory: Path) -> dict[str, str]:
@@ -25,7 +32,7 @@ def digests(directory: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return generation.generate(SPEC, data_dir=tmp_path_factory.mktemp("one"), workers=1)
+    return generate(tmp_path_factory.mktemp("one"), workers=1)
 
 
 def copy(finished: Path, data_dir: Path) -> Path:
@@ -37,13 +44,13 @@ def copy(finished: Path, data_dir: Path) -> Path:
 
 
 def test_one_and_two_workers_write_the_same_bytes(finished: Path, tmp_path: Path) -> None:
-    assert digests(generation.generate(SPEC, data_dir=tmp_path, workers=2)) == digests(finished)
+    assert digests(generate(tmp_path, workers=2)) == digests(finished)
 
 
 def test_generating_again_changes_nothing(finished: Path, tmp_path: Path) -> None:
     directory = copy(finished, tmp_path)
     before = {path: path.stat().st_mtime_ns for path in directory.iterdir()}
-    generation.generate(SPEC, data_dir=tmp_path, workers=2)
+    generate(tmp_path, workers=2)
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
@@ -57,13 +64,13 @@ def test_a_killed_generation_continues_to_the_same_bytes(finished: Path, tmp_pat
     ]
     process = subprocess.Popen([*command, "workers=1"], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     directory = SPEC.directory(tmp_path)
-    while not store.shard_path(directory, 0).exists():
+    while not States(SPEC, tmp_path).path(0).exists():
         assert process.poll() is None, "generation ended before it could be killed"
         time.sleep(0.02)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    assert not (directory / store.MANIFEST).exists()
-    generation.generate(SPEC, data_dir=tmp_path, workers=2)
+    assert not (directory / MANIFEST).exists()
+    generate(tmp_path, workers=2)
     assert digests(directory) == digests(finished)
     assert not list(directory.glob("*.tmp"))
 
@@ -72,34 +79,34 @@ def test_a_truncated_shard_is_named_with_its_remedy_and_made_again(
     finished: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     directory = copy(finished, tmp_path)
-    path = store.shard_path(directory, 1)
+    path = States(SPEC, tmp_path).path(1)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(
         CophyError, match=r"shard-00001\.h5 is damaged .* run `python src/generate\.py scenario=collision"
     ):
-        store.load(directory, SPEC)
-    generation.generate(SPEC, data_dir=tmp_path, workers=1)
+        States(SPEC, tmp_path).load()
+    generate(tmp_path, workers=1)
     assert "shard-00001.h5 is damaged" in caplog.text
     assert digests(directory) == digests(finished)
 
 
 def test_a_damaged_manifest_is_named_with_its_remedy(finished: Path, tmp_path: Path) -> None:
     directory = copy(finished, tmp_path)
-    (directory / store.MANIFEST).write_text("{")
+    (directory / MANIFEST).write_text("{")
     with pytest.raises(CophyError, match=r"manifest\.json is damaged .* delete it and run"):
-        store.load(directory, SPEC)
+        States(SPEC, tmp_path).load()
 
 
 def test_an_unfinished_dataset_is_not_loaded(tmp_path: Path) -> None:
-    with pytest.raises(CophyError, match="no finished dataset"):
-        store.load(SPEC.directory(tmp_path), SPEC)
+    with pytest.raises(CophyError, match="is not finished: run"):
+        States(SPEC, tmp_path).load()
 
 
 @pytest.mark.parametrize("fault", ["missing", "external", "soft link", "shape"])
 def test_a_foreign_shard_reads_nothing_but_plain_arrays(finished: Path, tmp_path: Path, fault: str) -> None:
     import h5py
 
-    content = store.shard_path(finished, 0).read_bytes()
+    content = (finished / "shard-00000.h5").read_bytes()
     path = tmp_path / "shard.h5"
     path.write_bytes(content)
     with h5py.File(path, "r+") as file:
@@ -115,7 +122,7 @@ def test_a_foreign_shard_reads_nothing_but_plain_arrays(finished: Path, tmp_path
 
 
 def test_decoding_returns_what_was_encoded(finished: Path) -> None:
-    content = store.shard_path(finished, 0).read_bytes()
+    content = (finished / "shard-00000.h5").read_bytes()
     assert encode(decode(content, 0, SPEC)) == content
 
 
@@ -126,10 +133,10 @@ def test_a_full_disk_is_said_in_one_line_and_loses_nothing(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     directory = copy(finished, tmp_path)
-    (directory / store.MANIFEST).unlink()
-    monkeypatch.setattr(generation, "write_manifest", full)
+    (directory / MANIFEST).unlink()
+    monkeypatch.setattr(States, "write_manifest", full)
     with pytest.raises(CophyError, match=r"no space left .*2 of 2 shards are done.*same command again"):
-        generation.generate(SPEC, data_dir=tmp_path, workers=1)
+        generate(tmp_path, workers=1)
 
 
 def test_a_changed_constant_is_another_dataset() -> None:

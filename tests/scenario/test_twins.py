@@ -1,9 +1,11 @@
 """Twin pairs of all three scenarios, on the tiny datasets and from scratch."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from cophy.dataset.shard import to_arrays
+from cophy.dataset.states import States, to_arrays
 from cophy.scenario import Shape, Simulator
 from tests.conftest import SCENARIOS, tiny_spec
 
@@ -120,14 +122,12 @@ def test_other_numbers_of_objects_are_other_scenes(simulator: Simulator, scenari
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_an_experiment_is_a_pure_function_of_seed_and_index(name: str, tiny_data) -> None:
-    from cophy.dataset import store
-
+def test_an_experiment_is_a_pure_function_of_seed_and_index(name: str, tiny_data: Path) -> None:
     spec = tiny_spec(name)
     with Simulator() as simulator:
         later = spec.scenario.twin_pair(spec.num_objects, seed=spec.seed, pair=1, simulator=simulator)
         earlier = spec.scenario.twin_pair(spec.num_objects, seed=spec.seed, pair=0, simulator=simulator)
-    stored = store.load(spec.directory(tiny_data), spec)
+    stored = States(spec, tiny_data).load()
     arrays = to_arrays([*earlier, *later], 0, spec)
     for array, expected in ((arrays[key], stored[key]) for key in stored):
         np.testing.assert_array_equal(array[:4], expected[:4])

@@ -6,10 +6,11 @@ import lightning as L
 import numpy as np
 from torch.utils.data import DataLoader
 
-from cophy.dataset import generation, store
+from cophy.dataset import generation
 from cophy.dataset.counterfactual import CounterfactualDataset, confounder_statistics, select, standardise, to_batch
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.splits import Split
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.types import Batch
@@ -36,14 +37,14 @@ class CounterfactualDataModule(L.LightningDataModule):
     def prepare_data(self) -> None:
         """Generate what is missing."""
         for spec in (self.train_spec, self.test_spec):
-            generation.ensure(spec, data_dir=self.data_dir, workers=self.workers)
+            generation.ensure(States(spec, self.data_dir), workers=self.workers)
 
     def setup(self, stage: str | None = None) -> None:
         """Load all splits; confounders are standardised over the training one."""
         if hasattr(self, "train"):
             return
         specs = {spec.id: spec for spec in (self.train_spec, self.test_spec)}
-        arrays = {name: store.load(spec.directory(self.data_dir), spec) for name, spec in specs.items()}
+        arrays = {name: States(spec, self.data_dir).load() for name, spec in specs.items()}
         train = self._part(arrays, "train")
         statistics = confounder_statistics(train)
         self.train = CounterfactualDataset(standardise(train, statistics))

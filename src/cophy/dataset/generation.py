@@ -1,4 +1,4 @@
-"""Generate a dataset with worker processes: resumable, and the same bytes however it is run."""
+"""Make a set of shards with worker processes: resumable, and the same bytes however it is run."""
 
 import errno
 import logging
@@ -8,74 +8,55 @@ import signal
 import sys
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
 from filelock import FileLock
 from tqdm import tqdm
 
-from cophy.dataset.shard import DamagedShardError, encode, to_arrays
-from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store import (
-    MANIFEST,
-    is_finished,
-    read_checksums,
-    read_shard,
-    shard_path,
-    write_atomically,
-    write_manifest,
-)
+from cophy.dataset.shardset import MANIFEST, DamagedShardError, ShardSet
 from cophy.errors import CophyError
-from cophy.scenario import Experiment, Simulator
+from cophy.files import appearing_whole
 
 log = logging.getLogger(__name__)
 _done: "Synchronized[int]"  # experiments generated so far, shared by the workers of one run
 
 
-@dataclass(frozen=True)
-class ShardCost:
-    """What a shard took."""
-
-    simulations: int
-    cpu_seconds: float
+def ensure(shards: ShardSet, *, workers: int) -> None:
+    """Make what is not finished yet."""
+    if not shards.is_finished():
+        make(shards, workers=workers)
 
 
-def ensure(spec: DatasetSpec, *, data_dir: Path, workers: int) -> Path:
-    """The directory of a finished dataset, generated first where it is missing."""
-    directory = spec.directory(data_dir)
-    return directory if is_finished(directory, spec) else generate(spec, data_dir=data_dir, workers=workers)
-
-
-def generate(spec: DatasetSpec, *, data_dir: Path, workers: int) -> Path:
-    """Make what is missing or damaged of a dataset; several processes may ask for it at once, one works."""
+def make(shards: ShardSet, *, workers: int) -> None:
+    """Make what is missing or damaged; several processes may ask for it at once, one works."""
     if multiprocessing.parent_process() is not None:  # a worker imports the script that started it
         raise CophyError("put what your script runs under `if __name__ == '__main__':`, generation starts processes")
-    directory = spec.directory(data_dir)
-    with _explain_full_disk(directory, spec), _locked(directory):
-        for leftover in directory.glob("*.tmp"):
+    with _explain_full_disk(shards), _locked(shards.directory):
+        for leftover in shards.directory.glob("*.tmp"):
             leftover.unlink()
-        missing = _missing_shards(directory, spec)
+        missing = _missing(shards)
         if missing:
-            _generate_shards(missing, directory, spec, workers)
-        if missing or not (directory / MANIFEST).exists():
-            write_manifest(directory, spec)
-    log.info("%s: %d experiments, %d shards, all whole", directory, spec.num_experiments, spec.num_shards)
-    return directory
+            _make(missing, shards, workers)
+        if missing or not (shards.directory / MANIFEST).exists():
+            shards.write_manifest()
+    spec = shards.spec
+    log.info("%s: %d experiments, %d shards, all whole", shards.directory, spec.num_experiments, spec.num_shards)
 
 
-def _missing_shards(directory: Path, spec: DatasetSpec) -> list[int]:
-    checksums = read_checksums(directory, spec) or {}
+def _missing(shards: ShardSet) -> list[int]:
+    checksums = shards.checksums() or {}
     missing = []
-    for shard in range(spec.num_shards):
-        path = shard_path(directory, shard)
+    for shard in range(shards.spec.num_shards):
+        path = shards.path(shard)
         if path.exists():
             try:
-                read_shard(directory, shard, spec, checksums.get(path.name))
+                shards.verify(shard, checksums.get(path.name))
                 continue
             except DamagedShardError as error:
                 log.warning("%s is damaged (%s): making it again", path, error)
@@ -83,20 +64,22 @@ def _missing_shards(directory: Path, spec: DatasetSpec) -> list[int]:
     return missing
 
 
-def _generate_shards(shards: list[int], directory: Path, spec: DatasetSpec, workers: int) -> None:
-    total = sum(len(spec.experiments_of_shard(shard)) for shard in shards)
+def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
+    total = sum(len(shards.spec.experiments_of_shard(shard)) for shard in missing)
     context = multiprocessing.get_context("spawn")
     done = context.Value("q", 0)
-    start, costs = time.monotonic(), []
+    start, took = time.monotonic(), defaultdict[str, float](float)
     with (
-        _progress_bar(spec, total) as advance_to,
-        ProcessPoolExecutor(min(workers, len(shards)), context, _start_worker, (done,)) as pool,
+        _progress_bar(shards.title, total) as advance_to,
+        ProcessPoolExecutor(min(workers, len(missing)), context, _start_worker, (done,)) as pool,
     ):
-        pending = {pool.submit(_generate_shard, shard, directory, spec) for shard in shards}
+        pending = {pool.submit(_make_shard, shard, shards) for shard in missing}
         try:
             while pending:
                 finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
-                costs += [future.result() for future in finished]
+                for future in finished:
+                    for what, value in future.result().items():
+                        took[what] += value
                 advance_to(done.value)
         except BrokenProcessPool as error:
             raise CophyError(
@@ -106,27 +89,21 @@ def _generate_shards(shards: list[int], directory: Path, spec: DatasetSpec, work
             for worker in multiprocessing.active_children():
                 worker.terminate()
             raise
-    log.info(
-        "%d experiments in %.0f s: %.2f simulations and %.3f CPU-s per experiment",
-        *(total, time.monotonic() - start),
-        *(sum(cost.simulations for cost in costs) / total, sum(cost.cpu_seconds for cost in costs) / total),
-    )
+    each = ", ".join(f"{value / total:.3g} {what}" for what, value in took.items())
+    log.info("%d experiments in %.0f s; per experiment %s", total, time.monotonic() - start, each)
 
 
-def _generate_shard(shard: int, directory: Path, spec: DatasetSpec) -> ShardCost:
-    """Generate one shard in a worker."""
+def _make_shard(shard: int, shards: ShardSet) -> dict[str, float]:
+    """Make one shard in a worker."""
+
+    def advance(experiments: int) -> None:
+        with _done.get_lock():
+            _done.value += experiments
+
     start = time.process_time()
-    experiments: list[Experiment] = []
-    with Simulator() as simulator:
-        for first in spec.experiments_of_shard(shard)[::2]:
-            experiments += spec.scenario.twin_pair(
-                spec.num_objects, seed=spec.seed, pair=first // 2, simulator=simulator
-            )
-            with _done.get_lock():
-                _done.value += 2
-        simulations = simulator.num_simulations
-    write_atomically(shard_path(directory, shard), encode(to_arrays(experiments, shard, spec)))
-    return ShardCost(simulations, time.process_time() - start)
+    with appearing_whole(shards.path(shard)) as path:
+        took = shards.write(path, shard, advance)
+    return {**took, "CPU-s": time.process_time() - start}
 
 
 def _start_worker(done: "Synchronized[int]") -> None:
@@ -145,9 +122,8 @@ def _exit_with_parent() -> None:
 
 
 @contextmanager
-def _progress_bar(spec: DatasetSpec, total: int) -> Iterator[Callable[[int], None]]:
+def _progress_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
     seconds = 0.5 if sys.stderr.isatty() else 20.0  # between updates: a log wants fewer lines
-    title = f"{spec.scenario.name}, {spec.num_objects} objects"
     with tqdm(total=total, unit="exp", desc=title, mininterval=seconds, smoothing=0.1) as bar:
 
         def advance_to(count: int) -> None:
@@ -165,14 +141,15 @@ def _locked(directory: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _explain_full_disk(directory: Path, spec: DatasetSpec) -> Iterator[None]:
+def _explain_full_disk(shards: ShardSet) -> Iterator[None]:
     try:
         yield
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
-        whole = sum(shard_path(directory, shard).exists() for shard in range(spec.num_shards))
+        count = shards.spec.num_shards
+        whole = sum(shards.path(shard).exists() for shard in range(count))
         raise CophyError(
-            f"no space left for {directory} ({whole} of {spec.num_shards} shards are done and safe): "
+            f"no space left for {shards.directory} ({whole} of {count} shards are done and safe): "
             f"free some, or move with data_dir=, and run the same command again"
         ) from error

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cophy.dataset.store import write_atomically
+from cophy.files import write_atomically
 from cophy.training.evaluation import interval, mean
 from cophy.types import Batch, Prediction
 

@@ -1,20 +1,64 @@
-"""One file of experiments: HDF5, whole or not at all, safe to read whoever wrote it."""
+"""The simulated part of a dataset: states, confounders, do-operation and split of every experiment."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+from cophy.dataset.shardset import DamagedShardError, ShardSet, dataset_in
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
-from cophy.scenario import Displace, Experiment
+from cophy.scenario import Displace, Experiment, Simulator
 from cophy.scenario.assignment import seen_configurations
 
 
-class DamagedShardError(Exception):
-    """The bytes are not those of a whole shard; the message says what is wrong with them."""
+class States(ShardSet):
+    """The states of a dataset, in its own directory."""
+
+    def __init__(self, spec: DatasetSpec, data_dir: Path) -> None:
+        directory = spec.directory(data_dir)
+        title = f"{spec.scenario.name}, {spec.num_objects} objects"
+        super().__init__(spec, directory, title=title, command=spec.command(directory))
+
+    def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
+        """Search and simulate the experiments of a shard."""
+        experiments: list[Experiment] = []
+        with Simulator() as simulator:
+            for first in self.spec.experiments_of_shard(shard)[::2]:
+                experiments += self.spec.scenario.twin_pair(
+                    self.spec.num_objects, seed=self.spec.seed, pair=first // 2, simulator=simulator
+                )
+                advance(2)
+        path.write_bytes(encode(to_arrays(experiments, shard, self.spec)))
+        return {"simulations": simulator.num_simulations}
+
+    def check(self, path: Path, shard: int) -> None:
+        """Read it all."""
+        decode(path.read_bytes(), shard, self.spec)
+
+    def description(self) -> dict[str, Any]:
+        """Configuration and names of the strata."""
+        spec = self.spec
+        return {
+            "id": spec.id,
+            "configuration": spec.generating_configuration(),
+            "strata": list(spec.scenario.strata()),
+        }
+
+    def read(self, shard: int, checksum: str) -> dict[str, np.ndarray]:
+        """The arrays of one shard, whose checksum the manifest gives."""
+        with self.explained(shard):
+            self.verify(shard, checksum)
+            return decode(self.path(shard).read_bytes(), shard, self.spec)
+
+    def load(self) -> dict[str, np.ndarray]:
+        """All arrays, experiments in order; every shard is checked against its checksum."""
+        checksums = self.finished_checksums()
+        shards = [self.read(shard, checksums[self.path(shard).name]) for shard in range(self.spec.num_shards)]
+        return {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
 
 
 def layout(spec: DatasetSpec) -> dict[str, tuple[tuple[int, ...], str]]:
@@ -103,17 +147,9 @@ def decode(content: bytes, shard: int, spec: DatasetSpec) -> dict[str, np.ndarra
     count = len(spec.experiments_of_shard(shard))
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
-            return {name: _read(file, name, (count, *shape), dtype) for name, (shape, dtype) in layout(spec).items()}
+            return {
+                name: np.asarray(dataset_in(file, name, (count, *shape), dtype)[()])
+                for name, (shape, dtype) in layout(spec).items()
+            }
     except (OSError, KeyError, RuntimeError) as error:
         raise DamagedShardError(" ".join(str(error).split())) from error
-
-
-def _read(file: h5py.File, name: str, shape: tuple[int, ...], dtype: str) -> np.ndarray:
-    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-        raise DamagedShardError(f"'{name}' is missing or points elsewhere")
-    array = file[name]
-    if not isinstance(array, h5py.Dataset) or array.is_virtual or array.external:
-        raise DamagedShardError(f"'{name}' is not an array stored in this file")
-    if array.shape != shape or array.dtype != np.dtype(dtype):
-        raise DamagedShardError(f"'{name}' is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}")
-    return np.asarray(array[()])
