@@ -7,6 +7,7 @@ from omegaconf import DictConfig
 
 from cophy import cli, config
 from cophy.dataset import generation
+from cophy.dataset.images import Images
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States
 
@@ -17,7 +18,10 @@ config.register()
 def main(cfg: DictConfig) -> None:
     settings: config.GenerateConfig = cli.to_config(cfg)
     for spec in specs(settings):
-        generation.make(States(spec, Path(settings.data_dir)), workers=settings.workers)
+        states = States(spec, Path(settings.data_dir))
+        generation.make(states, workers=settings.workers)
+        if settings.render.modalities:
+            generation.make(Images(states, settings.render), workers=settings.workers)
 
 
 def specs(settings: config.GenerateConfig) -> list[DatasetSpec]:

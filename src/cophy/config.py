@@ -13,6 +13,7 @@ from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
 from cophy.models.options import ConfounderInput, ConfounderSource, Decoding, Gating, Interaction
 from cophy.scenario import Balls, Blocktower, Collision
+from cophy.scenario.rendering import RenderSettings
 from cophy.training.settings import Training
 
 POSITIONS = ("ground_truth",)  # which positions a predictor may see
@@ -36,8 +37,9 @@ class DataConfig:
 
 @dataclass
 class GenerateConfig(DataConfig):
-    """generate.py and audit.py. num_objects: None for those the split needs."""
+    """generate.py and audit.py. num_objects: None for those the split needs. render is a group."""
 
+    render: Any = MISSING
     num_objects: list[int] | None = None
 
 
@@ -174,6 +176,7 @@ def register() -> None:
         "schema/scenario": {"blocktower": Blocktower, "balls": Balls, "collision": Collision},
         "schema/split": {"split": Split},
         "schema/size": {"size": Size},
+        "schema/render": {"render": RenderSettings},
         "schema/model": {
             "cophynet": CoPhyNetConfig,
             "interaction_network": InteractionNetworkConfig,

@@ -40,6 +40,13 @@ class Balls(SimulatedSearch):
     def symmetries(cls) -> np.ndarray:
         return square()
 
+    @property
+    def object_size_m(self) -> float:
+        return self.ball_diameter
+
+    def walls(self) -> tuple[Body, ...]:
+        return walls(self.arena_half_width, self.wall_height)
+
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
         reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2
         centres = rng.uniform(-reach, reach, (len(slots), 2))
@@ -57,7 +64,7 @@ class Balls(SimulatedSearch):
             )
             for slot, (x, y), (vx, vy) in zip(slots, centres, velocities, strict=True)
         )
-        bodies = (floor(), *walls(self.arena_half_width, self.wall_height), *balls)
+        bodies = (floor(), *self.walls(), *balls)
         return Scene(bodies, gravity=(0.0, 0.0, self.gravity_z))
 
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:

@@ -60,6 +60,10 @@ class Blocktower(Scenario):
     def symmetries(cls) -> np.ndarray:
         return square()
 
+    @property
+    def object_size_m(self) -> float:
+        return self.block_size
+
     def search(
         self, assignment: Assignment, slots: tuple[int, ...], rng: np.random.Generator, simulator: Simulator
     ) -> TwinPair:

@@ -46,6 +46,10 @@ class Collision(SimulatedSearch):
     def symmetries(cls) -> np.ndarray:
         return mirror()
 
+    @property
+    def object_size_m(self) -> float:
+        return self.object_size
+
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
         moving, static = CELLS[cell]
         heading = rng.uniform(-self.max_heading, self.max_heading)

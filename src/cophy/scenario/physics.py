@@ -67,7 +67,7 @@ class Simulator:
 
     def __init__(self) -> None:
         self.num_simulations = 0
-        self._bullet = _import_pybullet()
+        self._bullet = import_pybullet()
         self._client = self._bullet.connect(self._bullet.DIRECT)
 
     def __enter__(self) -> "Simulator":
@@ -148,7 +148,8 @@ class Simulator:
         return int(body_id)
 
 
-def _import_pybullet() -> Any:
+def import_pybullet() -> Any:
+    """PyBullet, or an error that says where it can be had."""
     try:
         import pybullet
     except ImportError as error:

@@ -12,7 +12,7 @@ from cophy.scenario.confounders import ConfounderGrid
 from cophy.scenario.do_operations import DoOperation
 from cophy.scenario.experiment import Experiment, with_confounders
 from cophy.scenario.physics import Clock, Simulator, Solver
-from cophy.scenario.scene import Scene, Trajectory
+from cophy.scenario.scene import Body, Scene, Trajectory
 
 
 @dataclass
@@ -79,6 +79,15 @@ class Scenario(ABC):
     @abstractmethod
     def symmetries(cls) -> np.ndarray:
         """(symmetry, 2, 2) matrices on (x, y) that turn an experiment into one as likely; the first is the identity."""
+
+    @property
+    @abstractmethod
+    def object_size_m(self) -> float:
+        """Edge of every block, diameter of every ball, diameter and height of every cylinder."""
+
+    def walls(self) -> tuple[Body, ...]:
+        """Fixed bodies besides the floor, in simulation and in pictures."""
+        return ()
 
     @abstractmethod
     def search(
