@@ -73,12 +73,14 @@ class TrainerConfig:
 
 @dataclass
 class TrainConfig(DataConfig):
-    """train.py. data_seed: seed of the dataset; seed: of the training."""
+    """train.py. data_seed: seed of the dataset; seed: of the training. render, num_frames: what a de-renderer sees."""
 
     model: Any = MISSING
     training: Training = MISSING
     trainer: TrainerConfig = MISSING
     positions: str = MISSING
+    render: Any = MISSING
+    num_frames: int = MISSING
     data_seed: int = MISSING
     threads: int = MISSING
     figures_every_n_epochs: int = MISSING
@@ -88,6 +90,7 @@ class TrainConfig(DataConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         _at_least(1, threads=self.threads, figures_every_n_epochs=self.figures_every_n_epochs)
+        _at_least(10, num_frames=self.num_frames)
         _at_least(0, data_seed=self.data_seed)
         if self.positions not in POSITIONS:
             raise ValueError(f"positions={self.positions} is not among {', '.join(POSITIONS)}")
@@ -140,6 +143,20 @@ class InteractionNetworkConfig:
 
 
 @dataclass
+class DerendererConfig:
+    """cophy.models.derenderer.Derenderer, which explains its arguments."""
+
+    _target_: str = "cophy.models.derenderer.Derenderer"
+    slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
+    resolution: int = MISSING
+    width: int = MISSING
+
+    def __post_init__(self) -> None:
+        if self.resolution < 8 or self.resolution % 4 or self.width < 1:
+            raise ValueError("model: resolution must be a multiple of 4 and at least 8, width at least 1")
+
+
+@dataclass
 class CopyCConfig:
     """Nothing to configure."""
 
@@ -180,6 +197,7 @@ def register() -> None:
         "schema/model": {
             "cophynet": CoPhyNetConfig,
             "interaction_network": InteractionNetworkConfig,
+            "derenderer": DerendererConfig,
             "copy_c": CopyCConfig,
             "copy_b": CopyBConfig,
         },

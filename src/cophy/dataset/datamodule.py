@@ -1,6 +1,8 @@
 """LightningDataModule over generated data: makes what is missing, holds everything in memory."""
 
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import lightning as L
 import numpy as np
@@ -33,6 +35,11 @@ class CounterfactualDataModule(L.LightningDataModule):
     def dataset_ids(self) -> list[str]:
         """Datasets this split reads: the training one first, then the test one if it is another."""
         return list(dict.fromkeys([self.train_spec.id, self.test_spec.id]))
+
+    @property
+    def training_depends_on(self) -> list[Any]:
+        """What the training batches are a function of."""
+        return [self.train_spec.id, asdict(self.split.train), asdict(self.scenario.task)]
 
     def prepare_data(self) -> None:
         """Generate what is missing."""

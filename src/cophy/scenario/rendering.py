@@ -28,8 +28,8 @@ NEAR_M, FAR_M = (
     60.0,
 )  # the small near plane makes TinyRenderer's shadows right, and costs depth a millimetre or two
 LIGHT = {
-    "lightDirection": [-6, -3, 12],
-    "lightDistance": 30,
+    "lightDirection": [-2.5, -1.2, 12],
+    "lightDistance": 40,
     "lightColor": [1, 1, 1],
     "lightAmbientCoeff": 0.55,
     "lightDiffuseCoeff": 0.45,

@@ -6,6 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from cophy.scenario import Camera
+
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}  # the axes shown
 MARKED = 4  # every how many frames a marker
 SMALLEST_VIEW = 2.0  # metres: what hardly moves shall not look as if it did
@@ -45,6 +47,36 @@ def draw_trajectories(
         Line2D([], [], color="0.3", marker=m, ls=ls, markerfacecolor="none", label=name) for m, ls, name in marks
     ]
     figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False)
+    return figure
+
+
+def draw_centres(
+    images: np.ndarray,
+    predicted: np.ndarray,
+    found: np.ndarray,
+    true: np.ndarray,
+    presence: np.ndarray,
+    *,
+    camera: Camera,
+) -> Figure:
+    """Frames with true (circles) and predicted (crosses) centres.
+
+    images: (N, R, R, 3) uint8; predicted, true: (N, K, 3) metres; found, presence: (N, K), which slots are said to be,
+    and are, present.
+    """
+    columns = min(len(images), 4)
+    rows = -(-len(images) // columns)
+    figure = Figure(figsize=(3.0 * columns, 3.0 * rows), layout="constrained")
+    for axis, image, *what in zip(
+        figure.subplots(rows, columns, squeeze=False).flat, images, true, presence, predicted, found, strict=False
+    ):
+        axis.imshow(image)
+        for position, present, marker in ((what[0], what[1], "o"), (what[2], what[3], "x")):
+            x, y = camera.project(position[present], len(image)).T - 0.5
+            axis.plot(
+                x, y, marker, color="white", markeredgecolor="black" if marker == "o" else "white", ms=7, mfc="none"
+            )
+        axis.set_axis_off()
     return figure
 
 

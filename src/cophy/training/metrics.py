@@ -1,6 +1,7 @@
 """How predictions are judged. Every experiment counts once, whatever its number of objects or its batch."""
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -9,7 +10,7 @@ from torchmetrics import MeanMetric, Metric, MetricCollection
 from cophy.scenario import Camera, Task
 from cophy.types import Batch, Prediction
 
-PerExperiment = Callable[[Prediction, Batch], Tensor]  # -> (B,)
+PerExperiment = Callable[[Any, Any], Tensor]  # what was predicted, and what for -> (B,)
 RESOLUTION = 448  # paper Table 1: pixel errors are given at 448 x 448
 
 
@@ -20,7 +21,7 @@ class ExperimentMean(MeanMetric):
         super().__init__()
         self.value_of = value
 
-    def update(self, prediction: Prediction, batch: Batch) -> None:  # type: ignore[override]
+    def update(self, prediction: Any, batch: Any) -> None:  # type: ignore[override]
         """Add a batch."""
         super().update(self.value_of(prediction, batch))
 

@@ -1,6 +1,5 @@
 """Stage 2: train and test a predictor of D."""
 
-import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -9,7 +8,6 @@ import numpy as np
 import torch
 from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
 from torch import Tensor, nn
-from torch.optim.lr_scheduler import LambdaLR
 from torchmetrics import MetricCollection
 
 from cophy.errors import CophyError
@@ -17,6 +15,7 @@ from cophy.scenario import Scenario
 from cophy.training.augmentation import augment
 from cophy.training.losses import confounder_loss, position_loss, stability_loss
 from cophy.training.metrics import collection, position_measures, stability_measures
+from cophy.training.optimisation import adam_with_cosine
 from cophy.training.settings import Training
 from cophy.types import Batch, Prediction
 
@@ -86,11 +85,7 @@ class PredictionModule(L.LightningModule):
         )
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        """Adam, its learning rate falling to zero along a cosine over the epochs of the run (also of a longer resumed one)."""
-        optimizer = torch.optim.Adam(self.parameters(), lr=self.training_settings.learning_rate)
-        epochs = max(self.trainer.max_epochs or 1, 1)
-        schedule = LambdaLR(optimizer, lambda epoch: (1 + math.cos(math.pi * min(epoch / epochs, 1))) / 2)
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
+        return adam_with_cosine(self, self.training_settings.learning_rate)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         checkpoint["config"] = self.config

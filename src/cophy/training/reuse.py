@@ -7,7 +7,6 @@ import hashlib
 import inspect
 import json
 import shutil
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from torch import nn
 
 import cophy
 from cophy.dataset.datamodule import CounterfactualDataModule
+from cophy.dataset.frames import FrameDataModule
 from cophy.training.row import Row
 
 FINISHED = "finished.json"
@@ -24,13 +24,13 @@ CHECKPOINTS = ("best.ckpt", "last.ckpt")
 WITHOUT_EFFECT = {"enable_progress_bar", "enable_model_summary", "log_every_n_steps", "limit_test_batches", "profiler"}
 
 
-def fingerprint(data: CounterfactualDataModule, network: nn.Module, resolved: dict[str, Any]) -> str:
+def fingerprint(data: CounterfactualDataModule | FrameDataModule, network: nn.Module, resolved: dict[str, Any]) -> str:
     """Hash of training data, model, training, trainer, seed, the code and the version of torch.
 
     The code is that of this package and of all modules beside the model's own. Which device was used is not part of it.
     """
     depends_on = {
-        "data": [data.train_spec.id, asdict(data.split.train), asdict(data.scenario.task), resolved["positions"]],
+        "data": data.training_depends_on,
         "model": resolved["model"],
         "training": resolved["training"],
         "trainer": {key: value for key, value in resolved["trainer"].items() if key not in WITHOUT_EFFECT},

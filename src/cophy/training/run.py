@@ -16,14 +16,14 @@ from torch import nn
 
 from cophy.config import TrainConfig
 from cophy.dataset.datamodule import CounterfactualDataModule
+from cophy.dataset.frames import FrameDataModule
 from cophy.errors import CophyError
 from cophy.training import reuse
-from cophy.training.augmentation import symmetries_for
-from cophy.training.callbacks import PredictionFigures, ResumeHint
-from cophy.training.evaluation import evaluate
+from cophy.training.callbacks import ResumeHint
+from cophy.training.derendering import DerenderingModule
 from cophy.training.prediction import PredictionModule
-from cophy.training.probe import estimate, probe
 from cophy.training.row import Row
+from cophy.training.stages import stage
 
 log = logging.getLogger(__name__)
 
@@ -40,20 +40,10 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
     start = time.monotonic()
     torch.set_num_threads(settings.threads)
     L.seed_everything(settings.seed, workers=True, verbose=False)
-    data = CounterfactualDataModule(
-        scenario=settings.scenario,
-        split=settings.split,
-        size=settings.size,
-        seed=settings.data_seed,
-        data_dir=Path(settings.data_dir),
-        batch_size=settings.training.batch_size,
-        workers=settings.workers,
-    )
     network = build_network(resolved["model"])
-    turns = symmetries_for(settings.split.train, settings.scenario)
-    symmetries = turns if settings.training.augmentation else turns[:1]
-    module = PredictionModule(network, settings.training, settings.scenario, symmetries, config=resolved)
-    trainer = _trainer(settings, row.directory)
+    chosen = stage(network, settings, resolved)
+    data, module = chosen.data, chosen.module
+    trainer = _trainer(settings, row.directory, chosen.figures)
     assert isinstance(trainer.logger, TensorBoardLogger)
     compared = row.names() | _flatten({part: resolved[part] for part in ("model", "training", "trainer")})
     trainer.logger.log_hyperparams(compared, {"test/mse": float("nan")})
@@ -64,15 +54,9 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
     elif settings.ckpt is not None:
         raise CophyError(f"ckpt={settings.ckpt}: {row.model} has nothing to train or to restore")
     trainer.test(module, data, ckpt_path=checkpoint, weights_only=True, verbose=False)
-    prediction, batch = module.tested
-    values = evaluate(prediction, batch, settings.scenario)
-    if prediction.confounder_estimate is not None:
-        fitted = estimate(network, data.train.batch, batch_size=settings.training.batch_size)
-        assert fitted is not None
-        values |= probe((fitted, data.train.batch), (prediction.confounder_estimate, batch))
     if settings.trainer.fast_dev_run:
         return {}
-    row.write_predictions(prediction, batch)
+    values = chosen.results(row)
     about = {
         "dataset_ids": data.dataset_ids,
         "num_train": len(data.train),
@@ -104,8 +88,8 @@ def build_network(model: dict[str, Any]) -> nn.Module:
 
 
 def _train(
-    module: PredictionModule,
-    data: CounterfactualDataModule,
+    module: PredictionModule | DerenderingModule,
+    data: CounterfactualDataModule | FrameDataModule,
     trainer: L.Trainer,
     settings: TrainConfig,
     row: Row,
@@ -130,7 +114,7 @@ def _train(
     return round(seconds, 1)
 
 
-def _trainer(settings: TrainConfig, directory: Path) -> L.Trainer:
+def _trainer(settings: TrainConfig, directory: Path, figures: L.Callback) -> L.Trainer:
     checkpoints = directory / "checkpoints"
     logger = TensorBoardLogger(directory, name="tensorboard", version="", default_hp_metric=False)
     callbacks = [
@@ -138,7 +122,7 @@ def _trainer(settings: TrainConfig, directory: Path) -> L.Trainer:
         # apart from the best: with save_last=True Lightning 2.6 writes the last one only when it is the best
         ModelCheckpoint(checkpoints, filename="last", enable_version_counter=False),
         LearningRateMonitor("epoch"),
-        PredictionFigures(settings.figures_every_n_epochs),
+        figures,
         ResumeHint(checkpoints / "last.ckpt"),
     ]
     return L.Trainer(logger=logger, callbacks=callbacks, default_root_dir=directory, **vars(settings.trainer))

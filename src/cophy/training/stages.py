@@ -1,0 +1,83 @@
+"""The two stages a row can be of: de-renderer (images -> positions) and predictor (positions of AB, and C -> D)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import numpy as np
+from torch import nn
+
+from cophy.config import TrainConfig
+from cophy.dataset.datamodule import CounterfactualDataModule
+from cophy.dataset.frames import FrameDataModule
+from cophy.models.derenderer import Derenderer
+from cophy.training.augmentation import symmetries_for
+from cophy.training.callbacks import DerenderingFigures, PredictionFigures
+from cophy.training.derendering import DerenderingModule
+from cophy.training.evaluation import evaluate
+from cophy.training.prediction import PredictionModule
+from cophy.training.probe import estimate, probe
+from cophy.training.row import Row
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Data and module of a row. results: after a test, every measure per test item, with what else is to be kept."""
+
+    data: CounterfactualDataModule | FrameDataModule
+    module: PredictionModule | DerenderingModule
+    figures: L.Callback
+    results: Callable[[Row], dict[str, np.ndarray]]
+
+
+def stage(network: nn.Module, settings: TrainConfig, resolved: dict[str, Any]) -> Stage:
+    """The stage that a network belongs to."""
+    if isinstance(network, Derenderer):
+        return _derendering(network, settings, resolved)
+    return _prediction(network, settings, resolved)
+
+
+def _derendering(network: Derenderer, settings: TrainConfig, resolved: dict[str, Any]) -> Stage:
+    data = FrameDataModule(
+        scenario=settings.scenario,
+        split=settings.split,
+        size=settings.size,
+        seed=settings.data_seed,
+        data_dir=Path(settings.data_dir),
+        render=settings.render,
+        resolution=network.resolution,
+        num_frames=settings.num_frames,
+        batch_size=settings.training.batch_size,
+        workers=settings.workers,
+    )
+    module = DerenderingModule(network, settings.training, config=resolved)
+    return Stage(data, module, DerenderingFigures(settings.figures_every_n_epochs), lambda row: module.tested)
+
+
+def _prediction(network: nn.Module, settings: TrainConfig, resolved: dict[str, Any]) -> Stage:
+    data = CounterfactualDataModule(
+        scenario=settings.scenario,
+        split=settings.split,
+        size=settings.size,
+        seed=settings.data_seed,
+        data_dir=Path(settings.data_dir),
+        batch_size=settings.training.batch_size,
+        workers=settings.workers,
+    )
+    turns = symmetries_for(settings.split.train, settings.scenario)
+    symmetries = turns if settings.training.augmentation else turns[:1]
+    module = PredictionModule(network, settings.training, settings.scenario, symmetries, config=resolved)
+
+    def results(row: Row) -> dict[str, np.ndarray]:
+        prediction, batch = module.tested
+        values = evaluate(prediction, batch, settings.scenario)
+        if prediction.confounder_estimate is not None:
+            fitted = estimate(network, data.train.batch, batch_size=settings.training.batch_size)
+            assert fitted is not None
+            values |= probe((fitted, data.train.batch), (prediction.confounder_estimate, batch))
+        row.write_predictions(prediction, batch)
+        return values
+
+    return Stage(data, module, PredictionFigures(settings.figures_every_n_epochs), results)
