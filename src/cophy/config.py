@@ -16,7 +16,7 @@ from cophy.scenario import Balls, Blocktower, Collision
 from cophy.scenario.rendering import RenderSettings
 from cophy.training.settings import Training
 
-POSITIONS = ("ground_truth",)  # which positions a predictor may see
+POSITIONS = ("ground_truth", "derendered", "train_ground_truth_test_derendered")  # which positions a predictor may see
 
 
 @dataclass
@@ -41,6 +41,28 @@ class GenerateConfig(DataConfig):
 
     render: Any = MISSING
     num_objects: list[int] | None = None
+
+
+@dataclass
+class LookConfig(GenerateConfig):
+    """look.py. experiment: shown in time. num_shown: experiments on the contact sheet."""
+
+    experiment: int = MISSING
+    num_shown: int = MISSING
+    directory: str = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_least(1, num_shown=self.num_shown)
+
+
+@dataclass
+class DerenderConfig(DataConfig):
+    """derender.py. derenderer: a checkpoint, None for the one that fits among the runs in `outputs`."""
+
+    num_objects: list[int] | None = None
+    derenderer: str | None = None
+    outputs: str = MISSING
 
 
 @dataclass
@@ -73,7 +95,10 @@ class TrainerConfig:
 
 @dataclass
 class TrainConfig(DataConfig):
-    """train.py. data_seed: seed of the dataset; seed: of the training. render, num_frames: what a de-renderer sees."""
+    """train.py. data_seed: seed of the dataset; seed: of the training. render, num_frames: what a de-renderer is trained on.
+
+    derenderer: checkpoint of the de-renderer whose estimates are seen instead of true positions; None for the one in outputs/.
+    """
 
     model: Any = MISSING
     training: Training = MISSING
@@ -81,6 +106,7 @@ class TrainConfig(DataConfig):
     positions: str = MISSING
     render: Any = MISSING
     num_frames: int = MISSING
+    derenderer: str | None = None
     data_seed: int = MISSING
     threads: int = MISSING
     figures_every_n_epochs: int = MISSING
@@ -171,6 +197,18 @@ class CopyBConfig:
 
 
 @dataclass
+class PredictConfig:
+    """predict.py, whose YAML explains the keys."""
+
+    observed: str = MISSING
+    initial: str = MISSING
+    truth: str | None = None
+    derenderer: str = MISSING
+    predictor: str = MISSING
+    directory: str = MISSING
+
+
+@dataclass
 class ReportConfig:
     """report.py. outputs: where train.py wrote its runs."""
 
@@ -189,7 +227,14 @@ def register() -> None:
     """Make the schemas known to Hydra."""
     store = ConfigStore.instance()
     groups: dict[str, dict[str, type]] = {
-        "schema/root": {"train": TrainConfig, "generate": GenerateConfig, "report": ReportConfig},
+        "schema/root": {
+            "train": TrainConfig,
+            "generate": GenerateConfig,
+            "derender": DerenderConfig,
+            "look": LookConfig,
+            "predict": PredictConfig,
+            "report": ReportConfig,
+        },
         "schema/scenario": {"blocktower": Blocktower, "balls": Balls, "collision": Collision},
         "schema/split": {"split": Split},
         "schema/size": {"size": Size},

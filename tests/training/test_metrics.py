@@ -23,6 +23,7 @@ def batch() -> Batch:
         confounders=torch.zeros(2, 2, 12),
         confounder_class=torch.tensor([[[0, 0], [1, 1]], [[9, 9], [1, 0]]]),
         target=target,
+        target_presence=presence,
         stable=stable,
     )
 

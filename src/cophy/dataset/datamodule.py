@@ -6,10 +6,20 @@ from typing import Any
 
 import lightning as L
 import numpy as np
+from torch import Tensor
 from torch.utils.data import DataLoader
 
 from cophy.dataset import generation
-from cophy.dataset.counterfactual import CounterfactualDataset, confounder_statistics, select, standardise, to_batch
+from cophy.dataset.counterfactual import (
+    CounterfactualDataset,
+    confounder_statistics,
+    select,
+    standardise,
+    to_batch,
+    with_estimates,
+)
+from cophy.dataset.estimates import Estimates, Sees
+from cophy.dataset.images import Images
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.splits import Split
 from cophy.dataset.states import States
@@ -19,14 +29,29 @@ from cophy.types import Batch
 
 
 class CounterfactualDataModule(L.LightningDataModule):
-    """Trains and validates on one part of the data, tests on another (or the same); see conf/split/."""
+    """Trains and validates on one part of the data, tests on another (or the same); see conf/split/.
+
+    derenderer: whose estimates of AB and C are seen instead of the true positions, or None. estimated: the splits of
+    which only the estimates are seen.
+    """
 
     def __init__(
-        self, *, scenario: Scenario, split: Split, size: Size, seed: int, data_dir: Path, batch_size: int, workers: int
+        self,
+        *,
+        scenario: Scenario,
+        split: Split,
+        size: Size,
+        seed: int,
+        data_dir: Path,
+        batch_size: int,
+        workers: int,
+        derenderer: Sees | None = None,
+        estimated: tuple[str, ...] = (),
     ) -> None:
         super().__init__()
         split.check_scenario(scenario)
         self.scenario, self.split, self.data_dir = scenario, split, data_dir
+        self.derenderer, self.estimated = derenderer, estimated
         self.batch_size, self.workers = batch_size, workers
         self.train_spec = DatasetSpec(scenario, split.train.num_objects, size, seed)
         self.test_spec = DatasetSpec(scenario, split.test.num_objects, size, seed)
@@ -39,19 +64,29 @@ class CounterfactualDataModule(L.LightningDataModule):
     @property
     def training_depends_on(self) -> list[Any]:
         """What the training batches are a function of."""
-        return [self.train_spec.id, asdict(self.split.train), asdict(self.scenario.task)]
+        seen = self.derenderer.name if self.derenderer and "train" in self.estimated else None
+        return [self.train_spec.id, asdict(self.split.train), asdict(self.scenario.task), seen]
+
+    @property
+    def mean_position(self) -> Tensor:
+        """(3,) metres: mean true position of the objects in C over the training split."""
+        batch = self.train.batch
+        return batch.target[:, 0][batch.target_presence].mean(dim=0)
 
     def prepare_data(self) -> None:
         """Generate what is missing."""
         for spec in (self.train_spec, self.test_spec):
             generation.ensure(States(spec, self.data_dir), workers=self.workers)
+            if estimates := self._estimates(spec):
+                generation.ensure(estimates.images, workers=self.workers)
+                generation.ensure(estimates, workers=self.workers)
 
     def setup(self, stage: str | None = None) -> None:
         """Load all splits; confounders are standardised over the training one."""
         if hasattr(self, "train"):
             return
         specs = {spec.id: spec for spec in (self.train_spec, self.test_spec)}
-        arrays = {name: States(spec, self.data_dir).load() for name, spec in specs.items()}
+        arrays = {name: self._load(spec) for name, spec in specs.items()}
         train = self._part(arrays, "train")
         statistics = confounder_statistics(train)
         self.train = CounterfactualDataset(standardise(train, statistics))
@@ -68,8 +103,22 @@ class CounterfactualDataModule(L.LightningDataModule):
         return self.test.loader(self.batch_size, shuffle=False)
 
     def _part(self, arrays: dict[str, dict[str, np.ndarray]], split: str) -> Batch:
-        spec, part = (self.test_spec, self.split.test) if split == "test" else (self.train_spec, self.split.train)
+        spec, part = self._spec_of(split), self.split.test if split == "test" else self.split.train
         chosen = select(arrays[spec.id], part, split)
         if not len(chosen["split"]):
             raise CophyError(f"split={self.split.name} leaves no {split} experiments of {spec.id}: take a larger size=")
-        return to_batch(chosen, self.scenario)
+        batch = to_batch(chosen, self.scenario)
+        return with_estimates(batch, chosen) if split in self.estimated else batch
+
+    def _spec_of(self, split: str) -> DatasetSpec:
+        return self.test_spec if split == "test" else self.train_spec
+
+    def _estimates(self, spec: DatasetSpec) -> Estimates | None:
+        """Those of a dataset, if one of its splits is seen through them."""
+        if self.derenderer is None or spec.id not in {self._spec_of(split).id for split in self.estimated}:
+            return None
+        return Estimates(Images(States(spec, self.data_dir), self.derenderer.render), self.derenderer)
+
+    def _load(self, spec: DatasetSpec) -> dict[str, np.ndarray]:
+        estimates = self._estimates(spec)
+        return States(spec, self.data_dir).load() | (estimates.load() if estimates else {})

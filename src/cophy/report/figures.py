@@ -30,8 +30,10 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
 
 def of_predictions(runs: pd.DataFrame, scenarios: dict[str, Any]) -> Iterator[tuple[str, Figure]]:
     """Per scenario and split: the trajectories that CoPhyNet predicts, and every model's error over time."""
-    for (name, split), found in runs.groupby(["scenario", "split"]):
+    predicted = runs[~runs["model"].str.startswith("derenderer")]
+    for (name, split, positions), found in predicted.groupby(["scenario", "split", "positions"]):
         scenario, curves = scenarios[str(name)], {}
+        row = f"{name}-{split}" if positions == "ground_truth" else f"{name}-{split}-{positions}"
         for (model, ablation), seeds in found.groupby(["model", "ablation"]):
             each = [read_predictions(directory) for directory in seeds["directory"]]
             errors = [
@@ -40,11 +42,11 @@ def of_predictions(runs: pd.DataFrame, scenarios: dict[str, Any]) -> Iterator[tu
             curves[str(model) if ablation == "full" else f"{model} {ablation}"] = np.mean(errors, axis=0)
             if (model, ablation) == ("cophynet", "full"):
                 shown = [each[0][key][:NUM_SHOWN] for key in ("initial", "position", "target", "presence")]
-                yield f"trajectories-{name}-{split}", draw_trajectories(*shown, colors=list(scenario.colors.values()))
+                yield f"trajectories-{row}", draw_trajectories(*shown, colors=list(scenario.colors.values()))
         ordered = dict(sorted(curves.items(), key=lambda curve: -curve[1][-1]))
         rate = scenario.clock.frame_rate_hz
         yield (
-            f"error_over_time-{name}-{split}",
+            f"error_over_time-{row}",
             draw_error_over_time(ordered, frame_rate_hz=rate, title=f"{name} {split}, test split"),
         )
 

@@ -17,9 +17,11 @@ def evaluate(prediction: Prediction, batch: Batch, scenario: Scenario) -> dict[s
 
     A prediction that is not finite is an error: it must not drop out of a mean.
     """
-    if not torch.isfinite(prediction.position[batch.presence[:, None].expand(prediction.position.shape[:3])]).all():
+    if not torch.isfinite(
+        prediction.position[batch.target_presence[:, None].expand(prediction.position.shape[:3])]
+    ).all():
         raise CophyError("the model predicts positions that are not finite: lower training.learning_rate")
-    num_objects = int(batch.presence.sum(dim=1).max())
+    num_objects = int(batch.target_presence.sum(dim=1).max())
     measures = position_measures(scenario.task) | pixel_measures(scenario.task, scenario.camera, num_objects)
     if prediction.stable_logit is not None:
         measures |= stability_measures()

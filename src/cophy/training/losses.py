@@ -16,13 +16,13 @@ def masked_mean(values: Tensor, presence: Tensor) -> Tensor:
 
 def position_loss(prediction: Prediction, batch: Batch) -> Tensor:
     """Mean squared error of the positions, over coordinates, present objects and steps (L_mse)."""
-    return masked_mean((prediction.position - batch.target).square().mean(dim=-1), batch.presence)
+    return masked_mean((prediction.position - batch.target).square().mean(dim=-1), batch.target_presence)
 
 
 def stability_loss(logit: Tensor, batch: Batch) -> Tensor:
     """Binary cross entropy of the stability logits (L_ce)."""
     target = stability_target(logit, batch).to(logit.dtype)
-    return masked_mean(binary_cross_entropy_with_logits(logit, target, reduction="none"), batch.presence)
+    return masked_mean(binary_cross_entropy_with_logits(logit, target, reduction="none"), batch.target_presence)
 
 
 def stability_target(logit: Tensor, batch: Batch) -> Tensor:

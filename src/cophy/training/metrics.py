@@ -31,7 +31,7 @@ def mean_squared_error(dims: int) -> PerExperiment:
 
     def value(prediction: Prediction, batch: Batch) -> Tensor:
         error = (prediction.position - batch.target)[..., :dims].square().mean(dim=-1)
-        return over_objects(error.mean(dim=1), batch.presence)
+        return over_objects(error.mean(dim=1), batch.target_presence)
 
     return value
 
@@ -41,24 +41,24 @@ def final_position_error(dims: int) -> PerExperiment:
 
     def value(prediction: Prediction, batch: Batch) -> Tensor:
         error = (prediction.position - batch.target)[:, -1, :, :dims].norm(dim=-1)
-        return over_objects(error, batch.presence)
+        return over_objects(error, batch.target_presence)
 
     return value
 
 
 def pixel_error(camera: Camera) -> PerExperiment:
     """(B,) distance in pixels between predicted and true final position in the camera's picture, mean over objects."""
-    return lambda prediction, batch: over_objects(_pixel_distance(camera, prediction, batch), batch.presence)
+    return lambda prediction, batch: over_objects(_pixel_distance(camera, prediction, batch), batch.target_presence)
 
 
 def pixel_error_at_height(camera: Camera, rank: int) -> PerExperiment:
     """(B,) the same for one object, the `rank`-th from below in C (0 is the lowest); NaN where C has fewer objects."""
 
     def value(prediction: Prediction, batch: Batch) -> Tensor:
-        height = torch.where(batch.presence, batch.initial[..., 2], torch.inf)
+        height = torch.where(batch.target_presence, batch.initial[..., 2], torch.inf)
         chosen = height.argsort(dim=1)[:, rank : rank + 1]
         distance = _pixel_distance(camera, prediction, batch).gather(1, chosen).squeeze(1)
-        return torch.where(batch.presence.sum(dim=1) > rank, distance, torch.nan)
+        return torch.where(batch.target_presence.sum(dim=1) > rank, distance, torch.nan)
 
     return value
 
@@ -66,18 +66,18 @@ def pixel_error_at_height(camera: Camera, rank: int) -> PerExperiment:
 def stability_accuracy(prediction: Prediction, batch: Batch) -> Tensor:
     """(B,) share of objects and steps whose stability is predicted right; one decision for all steps counts at each."""
     right = (_stable_logit(prediction) > 0) == batch.stable
-    return over_objects(right.float().mean(dim=1), batch.presence)
+    return over_objects(right.float().mean(dim=1), batch.target_presence)
 
 
 def stability_base_rate(prediction: Prediction, batch: Batch) -> Tensor:
     """(B,) share of objects and steps that are stable: the accuracy of always saying so."""
-    return over_objects(batch.stable.float().mean(dim=1), batch.presence)
+    return over_objects(batch.stable.float().mean(dim=1), batch.target_presence)
 
 
 def sequence_stability_accuracy(prediction: Prediction, batch: Batch) -> Tensor:
     """(B,) share of objects of which is said rightly whether they stay stable at every step (paper Table 6 right)."""
     right = (_stable_logit(prediction) > 0).all(dim=1) == batch.stable.all(dim=1)
-    return over_objects(right.float(), batch.presence)
+    return over_objects(right.float(), batch.target_presence)
 
 
 def position_measures(task: Task) -> dict[str, PerExperiment]:

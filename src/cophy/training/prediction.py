@@ -10,6 +10,7 @@ from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
 from torch import Tensor, nn
 from torchmetrics import MetricCollection
 
+from cophy.dataset.datamodule import CounterfactualDataModule
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.training.augmentation import augment
@@ -31,6 +32,7 @@ class PredictionModule(L.LightningModule):
 
     tested: tuple[Prediction, Batch]
     symmetries: Tensor
+    missed_position: Tensor
 
     def __init__(
         self,
@@ -43,6 +45,7 @@ class PredictionModule(L.LightningModule):
     ) -> None:
         super().__init__()
         self.network, self.training_settings, self.config = network, training, config
+        self.register_buffer("missed_position", torch.zeros(3), persistent=False)
         self.register_buffer("symmetries", torch.from_numpy(symmetries).float(), persistent=False)
         self.confounder_heads = _confounder_heads(network, scenario) if training.confounder_weight else None
         measures = {"position": position_measures(scenario.task), "stability": stability_measures()}
@@ -58,7 +61,14 @@ class PredictionModule(L.LightningModule):
     def forward(self, batch: Batch) -> Prediction:
         prediction = self.network(batch)
         _check_shapes(prediction, batch, self.network)
-        return prediction
+        missed = (batch.target_presence & ~batch.presence)[:, None, :, None]
+        return prediction._replace(position=torch.where(missed, self.missed_position, prediction.position))
+
+    def setup(self, stage: str) -> None:
+        """An object that the de-renderer missed in C is predicted where objects are on average."""
+        data = self.trainer.datamodule  # type: ignore[attr-defined]
+        assert isinstance(data, CounterfactualDataModule)
+        self.missed_position.copy_(data.mean_position)
 
     def training_step(self, batch: Batch) -> Tensor:
         batch = augment(batch, self.symmetries)

@@ -45,9 +45,9 @@ def fingerprint(data: CounterfactualDataModule | FrameDataModule, network: nn.Mo
 def find(row: Row, wanted: str) -> Path | None:
     """Checkpoints of a finished training with this fingerprint: of the row itself, or of its neighbours in other splits."""
     places = [row.directory]
-    if row.directory.parts[-len(row.place.parts) :] == row.place.parts:
-        root = row.directory.parents[len(row.place.parts) - 1]
-        places += sorted(root.glob(str(Path(row.scenario, "*", *row.place.parts[2:]))))
+    if row.root is not None:
+        scenario, _, model, ablation, _, seed = row.place.parts
+        places += sorted(row.root.glob(str(Path(scenario, "*", model, ablation, "*", seed))))
     for place in places:
         checkpoints = place / "checkpoints"
         if _read(checkpoints).get("fingerprint") == wanted and all((checkpoints / c).is_file() for c in CHECKPOINTS):

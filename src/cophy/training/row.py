@@ -40,6 +40,12 @@ class Row:
         """The directory's path below the root of all runs (conf/train.yaml, hydra.run.dir)."""
         return Path(self.scenario, self.split, self.model, self.ablation, self.positions, f"seed{self.seed}")
 
+    @property
+    def root(self) -> Path | None:
+        """The root of all runs, where the run lies in its place below it."""
+        depth = len(self.place.parts)
+        return self.directory.parents[depth - 1] if self.directory.parts[-depth:] == self.place.parts else None
+
     def start(self) -> None:
         """Forget the results of an earlier run: a stopped one must not pass for the one before it."""
         for name in (METRICS, PREDICTIONS, FAILURE):
@@ -60,7 +66,7 @@ class Row:
         """Keep what was predicted on the test split beside the truth, for figures and paired comparisons."""
         arrays = {
             "initial": batch.initial,
-            "presence": batch.presence,
+            "presence": batch.target_presence,
             "target": batch.target,
             "position": prediction.position,
         }

@@ -41,7 +41,7 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
     torch.set_num_threads(settings.threads)
     L.seed_everything(settings.seed, workers=True, verbose=False)
     network = build_network(resolved["model"])
-    chosen = stage(network, settings, resolved)
+    chosen = stage(network, settings, row, resolved)
     data, module = chosen.data, chosen.module
     trainer = _trainer(settings, row.directory, chosen.figures)
     assert isinstance(trainer.logger, TensorBoardLogger)
@@ -56,7 +56,7 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
     trainer.test(module, data, ckpt_path=checkpoint, weights_only=True, verbose=False)
     if settings.trainer.fast_dev_run:
         return {}
-    values = chosen.results(row)
+    values = chosen.results()
     about = {
         "dataset_ids": data.dataset_ids,
         "num_train": len(data.train),

@@ -12,14 +12,23 @@ from torch import nn
 from cophy.config import TrainConfig
 from cophy.dataset.datamodule import CounterfactualDataModule
 from cophy.dataset.frames import FrameDataModule
+from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.training.augmentation import symmetries_for
 from cophy.training.callbacks import DerenderingFigures, PredictionFigures
+from cophy.training.derenderers import TrainedDerenderer, find
 from cophy.training.derendering import DerenderingModule
 from cophy.training.evaluation import evaluate
 from cophy.training.prediction import PredictionModule
 from cophy.training.probe import estimate, probe
 from cophy.training.row import Row
+
+# positions= -> the splits of which a predictor sees estimates only
+ESTIMATED: dict[str, tuple[str, ...]] = {
+    "ground_truth": (),
+    "derendered": ("train", "val", "test"),
+    "train_ground_truth_test_derendered": ("test",),  # the paper's headline setting
+}
 
 
 @dataclass(frozen=True)
@@ -29,14 +38,24 @@ class Stage:
     data: CounterfactualDataModule | FrameDataModule
     module: PredictionModule | DerenderingModule
     figures: L.Callback
-    results: Callable[[Row], dict[str, np.ndarray]]
+    results: Callable[[], dict[str, np.ndarray]]
 
 
-def stage(network: nn.Module, settings: TrainConfig, resolved: dict[str, Any]) -> Stage:
+def stage(network: nn.Module, settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> Stage:
     """The stage that a network belongs to."""
     if isinstance(network, Derenderer):
         return _derendering(network, settings, resolved)
-    return _prediction(network, settings, resolved)
+    return _prediction(network, settings, row, resolved)
+
+
+def derenderer_for(settings: TrainConfig, row: Row) -> TrainedDerenderer:
+    """The de-renderer that `derenderer` names, or the one among the runs beside the row that fits."""
+    if settings.derenderer is not None:
+        return TrainedDerenderer(Path(settings.derenderer))
+    if row.root is None:
+        raise CophyError(f"positions={settings.positions}: name the checkpoint of a de-renderer with derenderer=")
+    objects = {settings.split.train.num_objects, settings.split.test.num_objects}
+    return find(row.root, row.scenario, objects)
 
 
 def _derendering(network: Derenderer, settings: TrainConfig, resolved: dict[str, Any]) -> Stage:
@@ -53,10 +72,11 @@ def _derendering(network: Derenderer, settings: TrainConfig, resolved: dict[str,
         workers=settings.workers,
     )
     module = DerenderingModule(network, settings.training, config=resolved)
-    return Stage(data, module, DerenderingFigures(settings.figures_every_n_epochs), lambda row: module.tested)
+    return Stage(data, module, DerenderingFigures(settings.figures_every_n_epochs), lambda: module.tested)
 
 
-def _prediction(network: nn.Module, settings: TrainConfig, resolved: dict[str, Any]) -> Stage:
+def _prediction(network: nn.Module, settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> Stage:
+    derenderer = derenderer_for(settings, row) if ESTIMATED[settings.positions] else None
     data = CounterfactualDataModule(
         scenario=settings.scenario,
         split=settings.split,
@@ -65,12 +85,14 @@ def _prediction(network: nn.Module, settings: TrainConfig, resolved: dict[str, A
         data_dir=Path(settings.data_dir),
         batch_size=settings.training.batch_size,
         workers=settings.workers,
+        derenderer=derenderer,
+        estimated=ESTIMATED[settings.positions],
     )
     turns = symmetries_for(settings.split.train, settings.scenario)
     symmetries = turns if settings.training.augmentation else turns[:1]
     module = PredictionModule(network, settings.training, settings.scenario, symmetries, config=resolved)
 
-    def results(row: Row) -> dict[str, np.ndarray]:
+    def results() -> dict[str, np.ndarray]:
         prediction, batch = module.tested
         values = evaluate(prediction, batch, settings.scenario)
         if prediction.confounder_estimate is not None:
