@@ -150,3 +150,57 @@ def test_audit_reports_a_twin_in_another_split(tmp_path: Path) -> None:
     manifest.unlink()
     run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")  # vouches for what it finds
     assert "FAILS" in run("audit", "scenario=collision", "size=tiny", f"data_dir={tmp_path}", code=1)
+
+
+def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> None:
+    """De-renderer, estimates, a predictor that sees them, and a prediction from files."""
+    small = ("scenario=collision", "render.resolution=16", f"hydra.sweep.dir={tmp_path}", f"data_dir={tiny_data}")
+    place = "{}/full/{}/seed0"
+    sizes = ("model.resolution=16", "model.width=2", "num_frames=200", "trainer.max_epochs=2")
+    row = "collision/all/" + place.format("derenderer", "ground_truth")
+    train("model=derenderer", *small[:2], *sizes, f"hydra.run.dir={tmp_path / row}", data=tiny_data)
+    measured = json.loads((tmp_path / row / "metrics.json").read_text())["metrics"]
+    assert {"mse", "euclidean_error", "x_error", "presence_accuracy", "mean_position_error"} <= set(measured)
+    curves = EventAccumulator(str(tmp_path / row / "tensorboard"))
+    curves.Reload()
+    assert {"val/centres", "val/clip"} <= set(curves.Tags()["images"])
+
+    said = run("derender", "scenario=collision", "size=tiny", f"data_dir={tiny_data}", f"outputs={tmp_path}")
+    assert "40 experiments, 2 shards, all whole" in said
+
+    for positions in ("derendered", "train_ground_truth_test_derendered"):
+        seen = "collision/all/" + place.format("cophynet", positions)
+        train(*small[:1], f"positions={positions}", f"hydra.run.dir={tmp_path / seen}", data=tiny_data)
+        assert json.loads((tmp_path / seen / "metrics.json").read_text())["positions"] == positions
+
+    look = tmp_path / "look"
+    run(
+        "look",
+        "scenario=collision",
+        "size=tiny",
+        f"data_dir={tiny_data}",
+        "num_shown=1",
+        "render.resolution=32",
+        f"directory={look}",
+    )
+    assert {path.name for path in look.iterdir()} == {
+        "sheet.png",
+        "strip.png",
+        "modalities.png",
+        "clip.gif",
+        "AB",
+        "CD",
+    }
+    checkpoints = {
+        "derenderer": tmp_path / row / "checkpoints" / "best.ckpt",
+        "predictor": tmp_path / "collision/all" / place.format("cophynet", "derendered") / "checkpoints" / "best.ckpt",
+    }
+    given = [f"{key}={path}" for key, path in checkpoints.items()]
+    files = [f"observed={look / 'AB'}", f"initial={look / 'CD' / '00.png'}", f"truth={look / 'CD'}"]
+    run("predict", *files, *given, f"directory={tmp_path / 'predicted'}")
+    assert (tmp_path / "predicted" / "prediction.gif").read_bytes()[:4] == b"GIF8"
+    assert (tmp_path / "predicted" / "positions.csv").read_text().startswith("frame,object,x_m,y_m,z_m\n0,")
+    swapped = run("predict", *files, f"derenderer={checkpoints['predictor']}", given[1], code=1)
+    assert "not of a de-renderer" in swapped
+    short = run("predict", files[1], f"observed={look / 'CD' / '00.png'}", *given, code=1)
+    assert "AB has 1 frames; the predictor knows 30" in short

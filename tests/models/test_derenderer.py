@@ -1,0 +1,74 @@
+"""The de-renderer by property."""
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from cophy.models.derenderer import Derenderer
+from cophy.training.run import build_network
+from tests.conftest import composed
+
+
+def network(num_slots: int = 4, width: int = 4, resolution: int = 32) -> Derenderer:
+    torch.manual_seed(0)
+    return Derenderer(slots=[str(k) for k in range(num_slots)], resolution=resolution, width=width)
+
+
+def test_shapes_and_the_channels_of_the_paper() -> None:
+    config = composed("train", "model=derenderer_paper", "scenario=balls")
+    paper = build_network(OmegaConf.to_container(config.model, resolve=True))
+    convolutions = [module for module in paper.modules() if isinstance(module, torch.nn.Conv2d)]
+    assert [c.out_channels for c in convolutions] == [64, 64, 128, 128, 261, 261, 9, 9]  # 256 rounded up to nine shares
+    assert paper.regression.shape == (9, 56 * 56, 4)
+    found = network(num_slots=9)(torch.rand(2, 3, 32, 32))
+    assert found.position.shape == (2, 9, 3)
+    assert found.presence_logit.shape == (2, 9)
+
+
+def test_a_head_sees_its_own_channels_only() -> None:
+    model = network().eval()
+    features = torch.rand(1, 16, 8, 8)
+    changed = features.clone()
+    changed[:, 4:8] += 1.0  # the second of four shares
+    difference = (model.heads(features) - model.heads(changed)).abs().sum(dim=(0, 2, 3))
+    assert difference[1] > 0
+    assert difference[[0, 2, 3]].sum() == 0
+
+
+def test_every_parameter_gets_a_gradient() -> None:
+    model = network()
+    found = model(torch.rand(8, 3, 32, 32))
+    (found.position.square().sum() + found.presence_logit.sum()).backward()
+    missing = [
+        name for name, parameter in model.named_parameters() if parameter.grad is None or not parameter.grad.any()
+    ]
+    assert not missing
+
+
+def test_positions_are_learned_in_units_of_their_spread() -> None:
+    model, images = network().eval(), torch.rand(2, 3, 32, 32)
+    before = model(images).position
+    model.scale_(torch.tensor([1.0, 2.0, 3.0]), torch.tensor([2.0, 2.0, 0.5]))
+    expected = torch.tensor([1.0, 2.0, 3.0]) + before * torch.tensor([2.0, 2.0, 0.5])
+    torch.testing.assert_close(model(images).position, expected)
+
+
+def test_one_batch_overfits() -> None:
+    model, generator = network(num_slots=2, width=8), torch.Generator().manual_seed(0)
+    images, positions = torch.zeros(8, 3, 32, 32), torch.rand(8, 2, 3, generator=generator)
+    for image, places in zip(images, positions, strict=True):
+        for color, (x, y, _) in enumerate(places.tolist()):
+            image[color, int(4 + 24 * y) : int(8 + 24 * y), int(4 + 20 * x) : int(8 + 20 * x)] = 1.0
+    optimizer = torch.optim.Adam(model.parameters(), lr=0.01)
+    for _ in range(150):
+        optimizer.zero_grad()
+        loss = (model(images).position[..., :2] - positions[..., :2]).square().mean()
+        loss.backward()
+        optimizer.step()
+    assert loss.item() < 0.002  # the mean position has 0.08
+
+
+@pytest.mark.parametrize("mistake", ["model.resolution=30", "model.width=0"])
+def test_sizes_are_checked(mistake: str) -> None:
+    with pytest.raises(ValueError, match="resolution must be a multiple of 4"):
+        OmegaConf.to_object(composed("train", "model=derenderer", mistake))
