@@ -48,3 +48,15 @@ audit *args: setup
 # tables from outputs/, ours beside the paper's numbers
 report *args: setup
     {{bin}}/python src/report.py {{args}}
+
+# positions and presence in all frames, by a trained de-renderer: just derender scenario=balls
+derender *args: setup
+    {{bin}}/python src/derender.py {{args}}
+
+# pictures of a dataset for people: just look scenario=balls
+look *args: setup
+    {{bin}}/python src/look.py {{args}}
+
+# from pictures of AB and C to a clip of D: just predict --help
+predict *args: setup
+    {{bin}}/python src/predict.py {{args}}
