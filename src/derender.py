@@ -24,13 +24,17 @@ def main(cfg: DictConfig) -> None:
     if settings.derenderer is not None:
         derenderer = TrainedDerenderer(Path(settings.derenderer))
     else:
-        derenderer = find(Path(settings.outputs), settings.scenario.name, {spec.num_objects for spec in chosen})
+        counts = {spec.num_objects for spec in chosen}
+        derenderer = find(Path(settings.outputs), settings.scenario.name, counts, settings.split.name)
+    derenderer.check(chosen)
     for spec in chosen:
         states = States(spec, Path(settings.data_dir))
         images = Images(states, derenderer.render)
+        estimates = Estimates(images, derenderer)
         generation.ensure(states, workers=settings.workers)
-        generation.ensure(images, workers=settings.workers)
-        generation.make(Estimates(images, derenderer), workers=settings.workers)
+        if not estimates.is_finished():
+            generation.ensure(images, workers=settings.workers)
+        generation.make(estimates, workers=settings.workers)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from cophy import cli, config
 from cophy.dataset import generation
+from cophy.dataset.splits import SPLITS
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from generate import specs
@@ -27,7 +28,8 @@ def main(cfg: DictConfig) -> None:
     from cophy.training.clips import gif
 
     settings: config.LookConfig = cli.to_config(cfg)
-    spec = specs(settings)[0]
+    train = settings.split.train.num_objects
+    spec = next((spec for spec in specs(settings) if spec.num_objects == train), specs(settings)[0])
     states = States(spec, Path(settings.data_dir))
     generation.ensure(states, workers=settings.workers)
     arrays, directory = states.load(), Path(settings.directory)
@@ -59,8 +61,8 @@ def main(cfg: DictConfig) -> None:
         for time, frame in enumerate(frames):
             pictures.write_picture(directory / name / f"{time:02d}.png", frame)
     log.info(
-        "%s: sheet.png (A, B, C, D of %d experiments), strip.png, modalities.png, clip.gif and the frames of experiment %d",
-        *(directory, len(shown), settings.experiment),
+        "%s: sheet.png (A, B, C, D of %d experiments); strip.png, modalities.png, clip.gif and the frames of experiment %d (%s split)",
+        *(directory, len(shown), settings.experiment, SPLITS[arrays["split"][settings.experiment]]),
     )
 
 

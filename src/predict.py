@@ -29,6 +29,8 @@ def main(cfg: DictConfig) -> None:
         raise CophyError(f"the de-renderer is of {derenderer.scenario}, the predictor of {predictor.scenario.name}")
     observed, initial = (pictures.read_frames(Path(path)) for path in (settings.observed, settings.initial))
     truth = None if settings.truth is None else pictures.read_frames(Path(settings.truth))
+    if truth is not None and truth.shape != observed.shape:
+        raise CophyError(f"truth has {truth.shape[:3]} frames, rows and columns, AB has {observed.shape[:3]}")
     found = predict(observed, initial[0], derenderer, predictor)
     directory = Path(settings.directory)
     directory.mkdir(parents=True, exist_ok=True)
@@ -43,7 +45,7 @@ def main(cfg: DictConfig) -> None:
     size = observed.shape[1]
     sequences = {"observed AB": observed} | ({} if truth is None else {"true CD": truth})
     sequences["predicted CD"] = redraw(found, predictor.scenario, size)
-    clip = pictures.side_by_side({name: frames[: len(observed)] for name, frames in sequences.items()})
+    clip = pictures.side_by_side(sequences)
     write_atomically(directory / "prediction.gif", gif(clip, frames_per_second=predictor.scenario.clock.frame_rate_hz))
     times = np.linspace(0, len(clip) - 1, 6).astype(int)
     pictures.write_picture(directory / "strip.png", pictures.grid([s[times] for s in sequences.values()]))

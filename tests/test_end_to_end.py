@@ -14,7 +14,7 @@ from tests.conftest import ROOT, SCENARIOS
 
 FIELDS = {
     "scenario", "split", "model", "ablation", "positions", "seed", "size",
-    "dataset_ids", "num_train", "num_test", "training_seconds", "wall_seconds", "metrics", "intervals",
+    "dataset_ids", "derenderer", "num_train", "num_test", "training_seconds", "wall_seconds", "metrics", "intervals",
 }  # fmt: skip
 
 

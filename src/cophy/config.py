@@ -95,7 +95,7 @@ class TrainerConfig:
 
 @dataclass
 class TrainConfig(DataConfig):
-    """train.py. data_seed: seed of the dataset; seed: of the training. render, num_frames: what a de-renderer is trained on.
+    """train.py. data_seed: seed of the dataset; seed: of the training. render, num_frames, num_objects: what a de-renderer is trained on.
 
     derenderer: checkpoint of the de-renderer whose estimates are seen instead of true positions; None for the one in outputs/.
     """
@@ -106,6 +106,7 @@ class TrainConfig(DataConfig):
     positions: str = MISSING
     render: Any = MISSING
     num_frames: int = MISSING
+    num_objects: list[int] | None = None
     derenderer: str | None = None
     data_seed: int = MISSING
     threads: int = MISSING

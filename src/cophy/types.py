@@ -26,8 +26,8 @@ class Batch(NamedTuple):
     confounders: (B, K, 12) true confounders (see CONFOUNDERS), standardised over the training set; constant ones are zero.
     confounder_class: (B, K, 2) index of the mass, and of the friction, among the values the scenario's grid has.
     target: (B, T-1, K, 3) positions of D, frames 1 ... T-1.
-    target_presence: (B, K) objects in CD in truth; `presence` and `observed_presence` are what a de-renderer found, where
-        positions are its estimates.
+    target_initial: (B, K, 3) true positions in C. target_presence: (B, K) objects truly in CD. `observed`, `initial` and
+        their presence are what a de-renderer found, where predictors see its estimates.
     stable: (B, T-1, K) the same as observed_stable for D.
     """
 
@@ -39,6 +39,7 @@ class Batch(NamedTuple):
     confounders: Tensor
     confounder_class: Tensor
     target: Tensor
+    target_initial: Tensor
     target_presence: Tensor
     stable: Tensor
 

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from cophy.dataset import generation
-from cophy.dataset.frames import FrameDataModule
+from cophy.dataset.estimates import Estimates
+from cophy.dataset.frames import FrameDataModule, FrameDataset
 from cophy.dataset.images import Images
 from cophy.dataset.states import States
 from cophy.errors import CophyError
@@ -118,11 +119,45 @@ def test_pictures_of_other_states_are_drawn_again(
     assert "shard-00000.h5 is damaged (it shows other states" in caplog.text
 
 
+def test_pictures_of_other_states_are_not_read(finished: Images, tmp_path: Path) -> None:
+    copied = copy(finished, tmp_path)
+    with h5py.File(copied.path(0), "r+") as file:
+        file.attrs["states_sha256"] = "0" * 64
+    frames = FrameDataset([(copied, copied.states.load())], split="train", resolution=16)
+    with pytest.raises(CophyError, match=r"shard-00000\.h5 is damaged \(it shows other states"):
+        frames[0]
+
+
+class Guess:
+    """Sees nothing."""
+
+    name, source, render = "guess", Path("guess.ckpt"), RENDER
+
+    def __call__(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros((len(rgb), 4, 3)), np.zeros((len(rgb), 4))
+
+
+def test_estimates_of_other_pictures_are_made_again(
+    finished: Images, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    copied = copy(finished, tmp_path)
+    estimates = Estimates(copied, Guess())
+    generation.make(estimates, workers=1)
+    copied.directory.joinpath("manifest.json").write_text(
+        finished.directory.joinpath("manifest.json").read_text().replace(copied.checksums()["shard-00001.h5"], "0" * 64)
+    )
+    with pytest.raises(CophyError, match=r"shard-00001\.h5 is damaged \(it is of other states or pictures"):
+        estimates.load()
+    for path in copied.directory.glob("*"):
+        path.unlink()
+    assert estimates.load()["position"].shape == (40, 2, 30, 4, 3)  # pictures may go once they were seen
+
+
 def test_frames_are_those_of_the_split_they_are_asked_for(tiny_data: Path) -> None:
     chosen = settings("train", "scenario=collision", "size=tiny")
     render = RenderSettings(["rgb"], 16, Backend.tiny)
     data = FrameDataModule(
-        scenario=chosen.scenario, split=chosen.split, size=chosen.size, seed=0, data_dir=tiny_data, render=render,
+        scenario=chosen.scenario, split=chosen.split, num_objects=None, size=chosen.size, seed=0, data_dir=tiny_data, render=render,
         resolution=16, num_frames=100, batch_size=10, workers=2,
     )  # fmt: skip
     data.prepare_data()

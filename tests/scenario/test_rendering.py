@@ -1,6 +1,7 @@
 """Pictures against geometry."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -87,6 +88,17 @@ def test_the_same_seed_draws_the_same_picture_and_another_one_another(scenario_o
     )
     np.testing.assert_array_equal(first, again)
     assert (first != other).mean() > 0.5
+
+
+def test_many_looks_need_no_more_memory_than_a_few(scenario_of: Callable[..., Scenario]) -> None:
+    scenario = scenario_of("collision")
+    still = np.zeros((1, 4, 3)), np.tile((0.0, 0.0, 0.0, 1.0), (1, 4, 1))
+    with Renderer(scenario, 16) as renderer:
+        used = []
+        for seed in range(60):
+            renderer.render(*still, presence=np.zeros(4, dtype=bool), shapes=[0] * 4, background_seed=seed)
+            used.append(int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6)
+    assert max(used[20:]) - max(used[:20]) < 100  # MB; each look has a texture of 13 MB
 
 
 def test_looks_differ() -> None:

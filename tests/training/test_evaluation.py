@@ -22,14 +22,21 @@ def test_the_interval_covers_the_mean_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
     for alike in (1, 2):
         samples = (np.repeat(rng.exponential(1.0, 200 // alike), alike) for _ in range(300))
-        covered = [low <= 1.0 <= high for low, high in map(interval, samples)]
+        covered = [low <= 1.0 <= high for low, high in (interval(sample, np.arange(200) // 2) for sample in samples)]
         assert 0.90 <= np.mean(covered) <= 0.97
 
 
 def test_the_interval_leaves_out_what_does_not_count() -> None:
     values = np.random.default_rng(0).normal(size=400)
     holes = np.concatenate([values, np.full(40, np.nan)])
-    assert interval(holes) == pytest.approx(interval(values))
+    pairs = np.arange(440) // 2
+    assert interval(holes, pairs) == pytest.approx(interval(values, pairs[:400]))
+
+
+def test_items_of_a_pair_are_resampled_together_however_many_there_are() -> None:
+    pairs = np.array([0, 0, 0, 7, 7])
+    assert interval(np.array([1.0, 1.0, 1.0, 2.0, 2.0]), pairs) == (1.0, 2.0)
+    assert interval(np.array([1.0, 2.0, 3.0]), np.zeros(3, dtype=int)) == (2.0, 2.0)
 
 
 def test_a_prediction_that_is_not_finite_is_an_error(tower_batch: Batch, scenario_of) -> None:

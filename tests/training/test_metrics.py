@@ -8,6 +8,8 @@ from cophy.training.losses import confounder_loss, position_loss, stability_loss
 from cophy.training.metrics import collection, pixel_measures, position_measures, stability_measures
 from cophy.types import Batch, Prediction
 
+INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])
+
 
 def batch() -> Batch:
     """Two experiments, T = 3 frames, K = 2 slots: two objects, and one object beside an empty slot."""
@@ -18,11 +20,12 @@ def batch() -> Batch:
         observed=torch.zeros(2, 3, 2, 3),
         observed_presence=presence,
         observed_stable=stable,
-        initial=torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]]),
+        initial=INITIAL,
         presence=presence,
         confounders=torch.zeros(2, 2, 12),
         confounder_class=torch.tensor([[[0, 0], [1, 1]], [[9, 9], [1, 0]]]),
         target=target,
+        target_initial=INITIAL,
         target_presence=presence,
         stable=stable,
     )

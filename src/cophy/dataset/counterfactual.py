@@ -47,25 +47,33 @@ def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
         confounders=_confounders(arrays),
         confounder_class=_confounder_class(arrays, scenario.confounders),
         target=positions[:, 1, 1:],
+        target_initial=positions[:, 1, 0],
         target_presence=presence,
         stable=stable,
     )
 
 
-def with_estimates(batch: Batch, estimates: dict[str, np.ndarray]) -> Batch:
+def with_estimates(batch: Batch, estimates: dict[str, np.ndarray], scenario: Scenario) -> Batch:
     """The batch with AB and C as a de-renderer saw them; what is to be predicted stays the truth.
 
     estimates: position (experiment, 2, T, K, 3) and presence_logit (experiment, 2, T, K). An object is in AB if most of its
-    frames say so, and in CD if C does.
+    frames say so, and in CD if C does. It seems stable where it moves from frame to frame as slowly as stable objects do.
     """
     position, logit = (torch.from_numpy(estimates[name]) for name in ("position", "presence_logit"))
     observed_presence, presence = (logit[:, 0] > 0).float().mean(dim=1) > 0.5, logit[:, 1, 0] > 0
     return batch._replace(
         observed=position[:, 0] * observed_presence[:, None, :, None],
         observed_presence=observed_presence,
+        observed_stable=_seems_stable(position[:, 0], scenario),
         initial=position[:, 1, 0] * presence[..., None],
         presence=presence,
     )
+
+
+def _seems_stable(position: Tensor, scenario: Scenario) -> Tensor:
+    """(experiment, T-1, K) from positions (experiment, T, K, 3) alone."""
+    speed = (position[:, 1:] - position[:, :-1]).norm(dim=-1) * scenario.clock.frame_rate_hz
+    return speed < scenario.task.stable_speed
 
 
 def select(arrays: dict[str, np.ndarray], part: Part, split: str) -> dict[str, np.ndarray]:

@@ -21,7 +21,7 @@ from cophy.dataset.counterfactual import (
 from cophy.dataset.estimates import Estimates, Sees
 from cophy.dataset.images import Images
 from cophy.dataset.spec import DatasetSpec, Size
-from cophy.dataset.splits import Split
+from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
@@ -71,13 +71,14 @@ class CounterfactualDataModule(L.LightningDataModule):
     def mean_position(self) -> Tensor:
         """(3,) metres: mean true position of the objects in C over the training split."""
         batch = self.train.batch
-        return batch.target[:, 0][batch.target_presence].mean(dim=0)
+        return batch.target_initial[batch.target_presence].mean(dim=0)
 
     def prepare_data(self) -> None:
         """Generate what is missing."""
         for spec in (self.train_spec, self.test_spec):
             generation.ensure(States(spec, self.data_dir), workers=self.workers)
-            if estimates := self._estimates(spec):
+            estimates = self._estimates(spec)
+            if estimates and not estimates.is_finished():
                 generation.ensure(estimates.images, workers=self.workers)
                 generation.ensure(estimates, workers=self.workers)
 
@@ -87,11 +88,13 @@ class CounterfactualDataModule(L.LightningDataModule):
             return
         specs = {spec.id: spec for spec in (self.train_spec, self.test_spec)}
         arrays = {name: self._load(spec) for name, spec in specs.items()}
-        train = self._part(arrays, "train")
-        statistics = confounder_statistics(train)
-        self.train = CounterfactualDataset(standardise(train, statistics))
-        self.val = CounterfactualDataset(standardise(self._part(arrays, "val"), statistics))
-        self.test = CounterfactualDataset(standardise(self._part(arrays, "test"), statistics))
+        chosen = {split: self._select(arrays, split) for split in SPLITS}
+        batches = {split: to_batch(chosen[split], self.scenario) for split in SPLITS}
+        statistics = confounder_statistics(batches["train"])
+        seen = {split: standardise(batch, statistics) for split, batch in batches.items()}
+        for split in self.estimated:
+            seen[split] = with_estimates(seen[split], chosen[split], self.scenario)
+        self.train, self.val, self.test = (CounterfactualDataset(seen[split]) for split in SPLITS)
 
     def train_dataloader(self) -> DataLoader[Batch]:
         return self.train.loader(self.batch_size, shuffle=True)
@@ -102,13 +105,12 @@ class CounterfactualDataModule(L.LightningDataModule):
     def test_dataloader(self) -> DataLoader[Batch]:
         return self.test.loader(self.batch_size, shuffle=False)
 
-    def _part(self, arrays: dict[str, dict[str, np.ndarray]], split: str) -> Batch:
+    def _select(self, arrays: dict[str, dict[str, np.ndarray]], split: str) -> dict[str, np.ndarray]:
         spec, part = self._spec_of(split), self.split.test if split == "test" else self.split.train
         chosen = select(arrays[spec.id], part, split)
         if not len(chosen["split"]):
             raise CophyError(f"split={self.split.name} leaves no {split} experiments of {spec.id}: take a larger size=")
-        batch = to_batch(chosen, self.scenario)
-        return with_estimates(batch, chosen) if split in self.estimated else batch
+        return chosen
 
     def _spec_of(self, split: str) -> DatasetSpec:
         return self.test_spec if split == "test" else self.train_spec

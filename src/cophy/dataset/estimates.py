@@ -46,7 +46,10 @@ class Estimates(ShardSet):
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Look at every frame of a shard."""
         layout = self._layout(shard)
+        with self.images.explained(shard):
+            self.images.check(self.images.path(shard), shard)
         with h5py.File(self.images.path(shard), "r") as pictures, h5py.File(path, "w", libver=("v110", "v110")) as file:
+            file.attrs.update(self._sources(shard))
             stored = {
                 name: file.create_dataset(name, shape, dtype, track_times=False)
                 for name, (shape, dtype) in layout.items()
@@ -60,7 +63,7 @@ class Estimates(ShardSet):
         return {}
 
     def check(self, path: Path, shard: int) -> None:
-        """Read it all."""
+        """Read it all; it must be of the states beside it and, while these are there, of the pictures."""
         self._read(path, shard)
 
     def description(self) -> dict[str, Any]:
@@ -86,9 +89,18 @@ class Estimates(ShardSet):
         try:
             with h5py.File(path, "r") as file:
                 layout = self._layout(shard)
+                if any(file.attrs[name] != checksum for name, checksum in self._sources(shard).items()):
+                    raise DamagedShardError("it is of other states or pictures than those beside it")
                 return {name: np.asarray(dataset_in(file, name, *what)[()]) for name, what in layout.items()}
         except (OSError, KeyError, RuntimeError) as error:
             raise DamagedShardError(" ".join(str(error).split())) from error
+
+    def _sources(self, shard: int) -> dict[str, str]:
+        """Checksums of what the estimates are of; pictures may be deleted once they were seen."""
+        sources = {"states_sha256": self.images.checksum_of_states(shard)}
+        if pictures := self.images.checksums():
+            sources["images_sha256"] = pictures[self.images.path(shard).name]
+        return sources
 
     def _layout(self, shard: int) -> dict[str, tuple[tuple[int, ...], str]]:
         scenario = self.spec.scenario

@@ -42,7 +42,7 @@ class FrameDataset(Dataset[FrameBatch]):
             grid = np.meshgrid([source], rows, [0, 1], times, indexing="ij")
             index.append(np.stack(grid, axis=-1).reshape(-1, 4))
         self.index = np.concatenate(index)
-        self._files: dict[Path, h5py.File] = {}
+        self._opened: dict[Path, h5py.Dataset] = {}
 
     def __len__(self) -> int:
         return len(self.index)
@@ -52,6 +52,12 @@ class FrameDataset(Dataset[FrameBatch]):
         chosen = np.random.default_rng(seed).permutation(len(self.index))[:count]
         self.index = self.index[np.sort(chosen)]
         return self
+
+    @property
+    def pairs(self) -> np.ndarray:
+        """(frame,) which twin pair, of all sources, a frame is of."""
+        source, row = self.index[:, 0], self.index[:, 1]
+        return (row // 2) * len(self.sources) + source
 
     def sequence_of(self, item: int) -> FrameBatch:
         """All frames, in time, of the sequence that a frame is from."""
@@ -71,7 +77,7 @@ class FrameDataset(Dataset[FrameBatch]):
         images, _ = self.sources[source]
         shard, place = divmod(row, images.spec.size.experiments_per_shard)
         with images.explained(shard):
-            rgb = self._file(images.path(shard))["rgb"][place, sequence, time]
+            rgb = self._rgb(images, shard)[place, sequence, time]
         return FrameBatch(to_image(rgb, self.resolution), *self._truth(item))
 
     def _truth(self, item: int) -> tuple[Tensor, Tensor]:
@@ -81,14 +87,16 @@ class FrameDataset(Dataset[FrameBatch]):
         position, presence = arrays["states"][row, sequence, state, :, :3], arrays["presence"][row, sequence]
         return torch.from_numpy(position), torch.from_numpy(presence)
 
-    def _file(self, path: Path) -> h5py.File:
-        if path not in self._files:  # opened by the process that reads
-            self._files[path] = h5py.File(path, "r")
-        return self._files[path]
+    def _rgb(self, images: Images, shard: int) -> h5py.Dataset:
+        path = images.path(shard)
+        if path not in self._opened:  # by the process that reads
+            images.check(path, shard)
+            self._opened[path] = h5py.File(path, "r")["rgb"]
+        return self._opened[path]
 
 
 class FrameDataModule(L.LightningDataModule):
-    """Frames of all datasets that a split names, rendered first where they are missing.
+    """Frames of all datasets that a split names, or `num_objects`, rendered first where they are missing.
 
     Training and validation frames are of the training and validation parts of each dataset, also of the one that the
     split only tests on: a de-renderer has to know every number of objects.
@@ -99,6 +107,7 @@ class FrameDataModule(L.LightningDataModule):
         *,
         scenario: Scenario,
         split: Split,
+        num_objects: list[int] | None,
         size: Size,
         seed: int,
         data_dir: Path,
@@ -110,7 +119,7 @@ class FrameDataModule(L.LightningDataModule):
     ) -> None:
         super().__init__()
         split.check_scenario(scenario)
-        counts = sorted({split.train.num_objects, split.test.num_objects})
+        counts = sorted(num_objects or {split.train.num_objects, split.test.num_objects})
         self.states = [States(DatasetSpec(scenario, count, size, seed), data_dir) for count in counts]
         self.scenario, self.render, self.resolution = scenario, render, resolution
         self.num_frames, self.seed, self.batch_size, self.workers = num_frames, seed, batch_size, workers

@@ -42,7 +42,7 @@ class Images(ShardSet):
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Draw all frames of a shard's experiments, a sequence at a time."""
-        checksum = self._checksum_of_states(shard)
+        checksum = self.checksum_of_states(shard)
         arrays, scenario = self.states.read(shard, checksum), self.spec.scenario
         stride = scenario.clock.states_per_frame
         with (
@@ -87,7 +87,7 @@ class Images(ShardSet):
                 source = file.attrs[SOURCE]
         except (OSError, KeyError, RuntimeError) as error:
             raise DamagedShardError(" ".join(str(error).split())) from error
-        if source != self._checksum_of_states(shard):
+        if source != self.checksum_of_states(shard):
             raise DamagedShardError("it shows other states than those beside it")
 
     def description(self) -> dict[str, Any]:
@@ -95,7 +95,8 @@ class Images(ShardSet):
         settings = asdict(self.render) | {"backend": self.render.backend.value}
         return {"format": FORMAT_VERSION, "dataset": self.spec.id, "render": settings, "no_object": NO_OBJECT}
 
-    def _checksum_of_states(self, shard: int) -> str:
+    def checksum_of_states(self, shard: int) -> str:
+        """SHA-256 of the states that a shard shows."""
         return self.states.finished_checksums()[self.states.path(shard).name]
 
     def _layout(self, shard: int) -> dict[str, tuple[tuple[int, ...], str]]:

@@ -1,5 +1,6 @@
 """Files shard-00000.h5 ... of one directory, the manifest that vouches for them, and reading them safely."""
 
+import errno
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from cophy.errors import CophyError
 from cophy.files import sha256, write_atomically
 
 MANIFEST = "manifest.json"
+VERSIONS = ("cophy", "numpy", "pybullet", "h5py", "hdf5plugin", "opencv-python-headless")  # that bytes may depend on
 
 
 class DamagedShardError(Exception):
@@ -89,6 +91,8 @@ class ShardSet(ABC):
         try:
             yield
         except (DamagedShardError, OSError) as error:
+            if isinstance(error, OSError) and error.errno not in (None, errno.ENOENT, errno.EIO):
+                raise  # no permission, too many open files: nothing is wrong with the shard
             raise CophyError(
                 f"{self.path(shard)} is damaged ({error}): run `{self.command}` to make it again"
             ) from error
@@ -97,7 +101,7 @@ class ShardSet(ABC):
         """Vouch for a finished set."""
         manifest = {
             **self.description(),
-            "versions": {name: _version(name) for name in ("cophy", "numpy", "pybullet", "h5py")},
+            "versions": {name: _version(name) for name in VERSIONS},
             "shards": {self.path(shard).name: sha256(self.path(shard)) for shard in range(self.spec.num_shards)},
         }
         write_atomically(self.directory / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())

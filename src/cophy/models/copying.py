@@ -21,5 +21,6 @@ class CopyB(nn.Module):
 
     def forward(self, batch: Batch) -> Prediction:
         """Repeat the observed positions and stability, step for step."""
-        position = batch.observed[:, 1:]
+        seen = batch.observed_presence[:, None, :, None]  # what a de-renderer missed in AB stays where it is in C
+        position = torch.where(seen, batch.observed[:, 1:], batch.initial[:, None])
         return Prediction(position, stable_logit=2 * batch.observed_stable.to(position.dtype) - 1)

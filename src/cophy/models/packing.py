@@ -37,6 +37,7 @@ _SLOT_AXIS = {
     "confounders": 1,
     "confounder_class": 1,
     "target": 2,
+    "target_initial": 1,
     "target_presence": 1,
     "stable": 2,
 }

@@ -36,6 +36,9 @@ LIGHT = {
     "lightSpecularCoeff": 0.05,
 }
 NO_OBJECT = 255  # in segmentations
+STAGES_PER_CLIENT = (
+    16  # then PyBullet is connected anew: it keeps every texture, 13 MB each, until the end of a connection
+)
 
 
 class Backend(Enum):
@@ -80,22 +83,26 @@ class Renderer:
     """A PyBullet client that draws; closed on leaving the `with` block. camera_seconds: CPU time of PyBullet's camera."""
 
     def __init__(self, scenario: Scenario, resolution: int, backend: Backend = Backend.tiny) -> None:
-        self.scenario, self.resolution = scenario, resolution
+        self.scenario, self.resolution, self.backend = scenario, resolution, backend
         self.camera_seconds = 0.0
         self._bullet = import_pybullet()
-        self._client = self._bullet.connect(self._bullet.DIRECT)
-        self._kind = self._bullet.ER_TINY_RENDERER
-        if backend is Backend.egl:
-            self._kind = self._bullet.ER_BULLET_HARDWARE_OPENGL
-            self._load_egl()
+        tiny = backend is Backend.tiny
+        self._kind = self._bullet.ER_TINY_RENDERER if tiny else self._bullet.ER_BULLET_HARDWARE_OPENGL
+        self._connect()
         camera = scenario.camera
         self._camera = {
             "viewMatrix": self._bullet.computeViewMatrix(camera.eye, camera.target, [0, 0, 1]),
             "projectionMatrix": self._bullet.computeProjectionMatrixFOV(camera.field_of_view_deg, 1.0, NEAR_M, FAR_M),
         }
         self._colors = [(*(int(c[i : i + 2], 16) / 255 for i in (1, 3, 5)), 1.0) for c in scenario.colors.values()]
+
+    def _connect(self) -> None:
+        self._client = self._bullet.connect(self._bullet.DIRECT)
         self._seed: int | None = None
+        self._num_stages = 0
         self._objects: dict[int, int] = {}  # body -> slot
+        if self.backend is Backend.egl:
+            self._load_egl()
 
     def __enter__(self) -> "Renderer":
         return self
@@ -142,9 +149,13 @@ class Renderer:
 
     def _set_stage(self, seed: int) -> None:
         """Floor, walls and backdrop; before them everything goes."""
+        if self._num_stages == STAGES_PER_CLIENT:
+            self._bullet.disconnect(self._client)
+            self._connect()
         bullet, client = self._bullet, self._client
         bullet.resetSimulation(physicsClientId=client)
         self._seed, self._objects = seed, {}
+        self._num_stages += 1
         self._backdrop = backdrop(seed, self.resolution)
         half = [FLOOR_HALF_WIDTH_M, FLOOR_HALF_WIDTH_M, 0.5]
         floor = self._body(bullet.createVisualShape(bullet.GEOM_BOX, halfExtents=half, physicsClientId=client), -0.5)

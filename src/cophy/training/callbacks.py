@@ -39,7 +39,8 @@ class PredictionFigures(L.Callback):
         with torch.no_grad():
             prediction = pl_module(Batch(*(tensor.to(pl_module.device) for tensor in shown)))
         initial, predicted, true, presence = (
-            tensor.cpu().numpy() for tensor in (shown.initial, prediction.position, shown.target, shown.target_presence)
+            tensor.cpu().numpy()
+            for tensor in (shown.target_initial, prediction.position, shown.target, shown.target_presence)
         )
         scenario = data.scenario
         error = error_over_time(predicted, true, presence, dims=scenario.task.metric_dims)

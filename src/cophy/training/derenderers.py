@@ -1,6 +1,7 @@
 """Trained de-renderers: reading them from a checkpoint, and finding the one that a row needs."""
 
-import pickle
+import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,31 +9,51 @@ import numpy as np
 import torch
 
 from cophy.dataset.frames import to_image
+from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
-from cophy.files import sha256
 from cophy.models.derenderer import Derenderer
 from cophy.scenario.rendering import Backend, RenderSettings
+from cophy.training.checkpoints import read_checkpoint, weights_of
 
 TARGET = f"{Derenderer.__module__}.{Derenderer.__name__}"
 FRAMES_AT_ONCE = 32
 
 
 class TrainedDerenderer:
-    """The network of a checkpoint; read again, without running code from it, in every process that uses it."""
+    """The network of a checkpoint; read again in every process that uses it, which must find the same bytes.
+
+    name: a hash of the checkpoint. render: the pictures it knows. num_objects: how many objects it has seen at once.
+    """
 
     def __init__(self, source: Path) -> None:
-        self.source = source
-        config = read_checkpoint(source)["config"]
+        content = read_bytes(source)
+        self.source, self.name = source, hashlib.sha256(content).hexdigest()[:8]
+        self._config = config = read_checkpoint(content, source)["config"]
         if config["model"]["_target_"] != TARGET:
-            raise CophyError(
-                f"derenderer={source} is a checkpoint of {config['model']['_target_']}, not of a de-renderer"
-            )
-        self.name = sha256(source)[:8]
+            raise CophyError(f"{source} is a checkpoint of {config['model']['_target_']}, not of a de-renderer")
         self.scenario: str = config["scenario"]["name"]
-        self.num_objects = {config["split"][part]["num_objects"] for part in ("train", "test")}
+        self.split: str = config["split"]["name"]
+        self.num_objects = frozenset(
+            config["num_objects"] or (config["split"][p]["num_objects"] for p in ("train", "test"))
+        )
         render = config["render"]
         self.render = RenderSettings(render["modalities"], render["resolution"], Backend(render["backend"]))
         self._network: Derenderer | None = None
+
+    def check(self, specs: Sequence[DatasetSpec]) -> None:
+        """Refuse datasets that it was not trained for: its slots, camera, and test experiments would not be theirs."""
+        for spec in specs:
+            own = {**self._config["scenario"], "task": None}
+            wanted = {**spec.generating_configuration()["scenario"], "task": None}
+            differing = sorted(key for key in own.keys() | wanted.keys() if own.get(key) != wanted.get(key))
+            if differing:
+                raise CophyError(f"the de-renderer {self.source} is of another scenario (its {', '.join(differing)})")
+            trained = (self._config["size"]["num_experiments"], self._config["data_seed"])
+            if trained != (spec.size.num_experiments, spec.seed):
+                raise CophyError(
+                    f"the de-renderer {self.source} was trained at another size or data seed: it may have seen the test "
+                    f"experiments of {spec.id} in training"
+                )
 
     def __call__(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N, R, R, 3) uint8 -> positions (N, K, 3) in metres, presence logits (N, K)."""
@@ -50,42 +71,43 @@ class TrainedDerenderer:
     def _loaded(self) -> Derenderer:
         if self._network is None:
             torch.set_num_threads(1)  # processes work side by side
-            checkpoint = read_checkpoint(self.source)
-            arguments = {key: value for key, value in checkpoint["config"]["model"].items() if key != "_target_"}
+            content = read_bytes(self.source)
+            if hashlib.sha256(content).hexdigest()[:8] != self.name:
+                raise CophyError(f"{self.source} was replaced while it was used: run again")
+            checkpoint = read_checkpoint(content, self.source)
+            arguments = {key: value for key, value in self._config["model"].items() if key != "_target_"}
             network = Derenderer(**arguments)
-            prefix = "network."
-            weights = {k.removeprefix(prefix): v for k, v in checkpoint["state_dict"].items() if k.startswith(prefix)}
-            network.load_state_dict(weights)
+            network.load_state_dict(weights_of(checkpoint))
             self._network = network.eval().to("cuda" if torch.cuda.is_available() else "cpu")
         return self._network
 
 
-def read_checkpoint(path: Path) -> dict[str, Any]:
-    """A checkpoint of train.py; reading it runs no code (weights_only)."""
+def read_bytes(path: Path) -> bytes:
+    """A checkpoint's bytes."""
     if not path.is_file():
         raise CophyError(
             f"{path} is no file: give a checkpoint of train.py, for example outputs/.../checkpoints/best.ckpt"
         )
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        content["config"]["model"]["_target_"]
-    except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
-        raise CophyError(f"{path} is no checkpoint of train.py, or a damaged one") from error
-    return content
+    return path.read_bytes()
 
 
-def find(outputs: Path, scenario: str, num_objects: set[int]) -> TrainedDerenderer:
-    """The one de-renderer among the runs in `outputs` that knows the scenario with these numbers of objects."""
+def find(outputs: Path, scenario: str, num_objects: set[int], split: str) -> TrainedDerenderer:
+    """The one de-renderer among the runs in `outputs` that knows the scenario with these numbers of objects.
+
+    Of several, the one that was trained for the same split is meant, or the one that knows no other numbers of objects.
+    """
     places = sorted(outputs.glob(f"{scenario}/*/derenderer*/*/*/seed*/metrics.json"))
-    known = [TrainedDerenderer(place.parent / "checkpoints" / "best.ckpt") for place in places]
-    fitting = [derenderer for derenderer in known if num_objects <= derenderer.num_objects]
+    known = {d.name: d for d in (TrainedDerenderer(place.parent / "checkpoints" / "best.ckpt") for place in places)}
+    fitting = [derenderer for derenderer in known.values() if num_objects <= derenderer.num_objects]
+    fitting = [derenderer for derenderer in fitting if derenderer.split == split] or fitting
+    fitting = [derenderer for derenderer in fitting if derenderer.num_objects == num_objects] or fitting
     if len(fitting) == 1:
         return fitting[0]
     objects = " and ".join(map(str, sorted(num_objects)))
     if not fitting:
         raise CophyError(
             f"no de-renderer of {scenario} with {objects} objects in {outputs}: train one (python src/train.py "
-            f"model=derenderer scenario={scenario} split=...), or name its checkpoint with derenderer="
+            f"model=derenderer scenario={scenario} split={split}), or name its checkpoint with derenderer="
         )
     found = ", ".join(str(derenderer.source) for derenderer in fitting)
     raise CophyError(

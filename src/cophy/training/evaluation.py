@@ -33,18 +33,19 @@ def mean(values: np.ndarray) -> float:
     return float(np.nanmean(values))
 
 
-def interval(values: np.ndarray) -> tuple[float, float]:
-    """Bootstrap 95 % interval of the mean (percentiles; the same at every call).
+def interval(values: np.ndarray, pairs: np.ndarray) -> tuple[float, float]:
+    """Bootstrap 95 % interval of the mean (percentiles; the same at every call). pairs: the twin pair that each value is of.
 
-    Twin pairs are resampled, not experiments: twins share A, C and the do-operation, and so much of their error.
+    Twin pairs are resampled, not values: twins share A, C and the do-operation, and so much of their error.
     """
-    pairs = values.reshape(-1, 2)
-    counting = pairs[~np.isnan(pairs).all(axis=1)]
-    if len(counting) < 2:
+    counts = ~np.isnan(values)
+    _, group = np.unique(pairs[counts], return_inverse=True)
+    total, size = np.bincount(group, weights=values[counts]), np.bincount(group)
+    if len(size) < 2:
         return mean(values), mean(values)
     result = bootstrap(
-        (np.arange(len(counting)),),
-        lambda rows, axis: np.nanmean(counting[rows], axis=(-2, -1)),
+        (np.arange(len(size)),),
+        lambda rows, axis: total[rows].sum(axis=axis) / size[rows].sum(axis=axis),
         n_resamples=RESAMPLES,
         method="percentile",
         rng=np.random.default_rng(0),

@@ -12,7 +12,8 @@ from cophy.dataset.counterfactual import with_estimates
 from cophy.errors import CophyError
 from cophy.scenario import Blocktower, Scenario, Shape
 from cophy.scenario.rendering import Renderer
-from cophy.training.derenderers import TrainedDerenderer, read_checkpoint
+from cophy.training.checkpoints import read_checkpoint, weights_of
+from cophy.training.derenderers import TARGET, TrainedDerenderer, read_bytes
 from cophy.training.run import build_network
 from cophy.types import CONFOUNDERS, Batch
 
@@ -28,8 +29,13 @@ class TrainedPredictor:
     """The network of a checkpoint, and the scenario that it was trained on."""
 
     def __init__(self, source: Path) -> None:
-        checkpoint = read_checkpoint(source)
+        checkpoint = read_checkpoint(read_bytes(source), source)
         config = checkpoint["config"]
+        target = config["model"]["_target_"]
+        if not target.startswith("cophy.models.") or target == TARGET:
+            raise CophyError(
+                f"predictor={source} is a checkpoint of {target}: only predictors of cophy.models are loaded"
+            )
         if config["model"].get("confounders") == "ground_truth":
             raise CophyError(f"predictor={source} wants the true confounders, which no picture shows")
         schema = ConfigStore.instance().load(f"schema/scenario/{config['scenario']['name']}.yaml").node
@@ -37,10 +43,8 @@ class TrainedPredictor:
         assert isinstance(scenario, Scenario)
         self.scenario = scenario
         self.network = build_network(config["model"]).eval()
-        prefix = "network."
-        weights = {k.removeprefix(prefix): v for k, v in checkpoint["state_dict"].items() if k.startswith(prefix)}
         try:
-            self.network.load_state_dict(weights)
+            self.network.load_state_dict(weights_of(checkpoint))
         except RuntimeError as error:
             raise CophyError(f"predictor={source} does not fit {config['model']['_target_']} as it is now") from error
 
@@ -65,7 +69,7 @@ def predict(
         "position": np.stack([position, position_in_c])[None],
         "presence_logit": np.stack([logit, logit_in_c])[None],
     }
-    batch = with_estimates(_unknown(num_frames, predictor.scenario.num_slots), estimates)
+    batch = with_estimates(_unknown(num_frames, predictor.scenario.num_slots), estimates, predictor.scenario)
     with torch.no_grad():
         prediction = predictor.network(batch)
     positions = torch.cat([batch.initial[:, None], prediction.position], dim=1)
@@ -95,6 +99,7 @@ def _unknown(num_frames: int, num_slots: int) -> Batch:
         confounders=torch.zeros(1, num_slots, len(CONFOUNDERS)),
         confounder_class=torch.zeros(1, num_slots, 2, dtype=torch.long),
         target=torch.zeros(*steps, 3),
+        target_initial=torch.zeros(1, num_slots, 3),
         target_presence=absent,
         stable=torch.zeros(steps, dtype=torch.bool),
     )

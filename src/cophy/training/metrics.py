@@ -55,7 +55,7 @@ def pixel_error_at_height(camera: Camera, rank: int) -> PerExperiment:
     """(B,) the same for one object, the `rank`-th from below in C (0 is the lowest); NaN where C has fewer objects."""
 
     def value(prediction: Prediction, batch: Batch) -> Tensor:
-        height = torch.where(batch.target_presence, batch.initial[..., 2], torch.inf)
+        height = torch.where(batch.target_presence, batch.target_initial[..., 2], torch.inf)
         chosen = height.argsort(dim=1)[:, rank : rank + 1]
         distance = _pixel_distance(camera, prediction, batch).gather(1, chosen).squeeze(1)
         return torch.where(batch.target_presence.sum(dim=1) > rank, distance, torch.nan)

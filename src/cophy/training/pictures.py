@@ -1,5 +1,6 @@
 """Pictures for people: sequences side by side, frame strips, contact sheets; and reading frames that people bring."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from cophy.scenario import Scenario
 from cophy.scenario.rendering import Frames, Renderer
 
 GAP_PX = 4
+SUFFIXES = (".png", ".jpg", ".jpeg")
+MOST_FRAMES = 1000
 
 
 def render_sequence(
@@ -75,11 +78,14 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 
 
 def read_frames(path: Path) -> np.ndarray:
-    """(T, H, W, 3) RGB frames of a video, of one picture, or of a folder of pictures in the order of their names."""
+    """(T, H, W, 3) RGB frames of a video, of one picture, or of a folder of pictures: 2.png comes before 10.png.
+
+    Of a long video only the first MOST_FRAMES + 1 are read: who calls knows how many there have to be.
+    """
     if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in (".png", ".jpg", ".jpeg"))
+        files = sorted((file for file in path.iterdir() if file.suffix.lower() in SUFFIXES), key=_by_number)
         frames = [_read_picture(file) for file in files]
-    elif path.suffix.lower() in (".png", ".jpg", ".jpeg"):
+    elif path.suffix.lower() in SUFFIXES:
         frames = [_read_picture(path)]
     else:
         frames = list(_read_video(path))
@@ -90,6 +96,10 @@ def read_frames(path: Path) -> np.ndarray:
     return np.stack(frames)
 
 
+def _by_number(path: Path) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
 def _read_picture(path: Path) -> np.ndarray:
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
@@ -98,9 +108,10 @@ def _read_picture(path: Path) -> np.ndarray:
 
 
 def _read_video(path: Path) -> Sequence[np.ndarray]:
-    video, frames = cv2.VideoCapture(str(path)), []
+    video = cv2.VideoCapture(str(path))
+    frames: list[np.ndarray] = []
     if not video.isOpened():
         raise CophyError(f"{path} is no video that OpenCV can read")
-    while (read := video.read())[0]:
+    while len(frames) <= MOST_FRAMES and (read := video.read())[0]:
         frames.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB))
     return frames

@@ -51,10 +51,13 @@ class Row:
         for name in (METRICS, PREDICTIONS, FAILURE):
             (self.directory / name).unlink(missing_ok=True)
 
-    def finish(self, values: dict[str, np.ndarray], about: dict[str, Any]) -> dict[str, float]:
-        """Write metrics.json, once and whole: names, what is known about the run, each metric and its 95 % interval."""
+    def finish(self, values: dict[str, np.ndarray], pairs: np.ndarray, about: dict[str, Any]) -> dict[str, float]:
+        """Write metrics.json, once and whole: names, what is known about the run, each metric and its 95 % interval.
+
+        values: each metric per test item; pairs: the twin pair that each item is of.
+        """
         metrics = {name: mean(value) for name, value in values.items()}
-        intervals = {name: interval(value) for name, value in values.items()}
+        intervals = {name: interval(value, pairs) for name, value in values.items()}
         content = {**self.names(), **about, "metrics": metrics, "intervals": intervals}
         write_atomically(self.directory / METRICS, (json.dumps(content, indent=2) + "\n").encode())
         main = ("mse", "final_position_error", "sequence_stability_accuracy", "probe_accuracy")
@@ -65,7 +68,7 @@ class Row:
     def write_predictions(self, prediction: Prediction, batch: Batch) -> None:
         """Keep what was predicted on the test split beside the truth, for figures and paired comparisons."""
         arrays = {
-            "initial": batch.initial,
+            "initial": batch.target_initial,
             "presence": batch.target_presence,
             "target": batch.target,
             "position": prediction.position,

@@ -1,7 +1,6 @@
 """One row of a table: data, network, training, test, results."""
 
 import logging
-import pickle
 import time
 import warnings
 from pathlib import Path
@@ -20,6 +19,7 @@ from cophy.dataset.frames import FrameDataModule
 from cophy.errors import CophyError
 from cophy.training import reuse
 from cophy.training.callbacks import ResumeHint
+from cophy.training.checkpoints import read_checkpoint
 from cophy.training.derendering import DerenderingModule
 from cophy.training.prediction import PredictionModule
 from cophy.training.row import Row
@@ -43,6 +43,7 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
     network = build_network(resolved["model"])
     chosen = stage(network, settings, row, resolved)
     data, module = chosen.data, chosen.module
+    resolved["trained_on"] = data.training_depends_on  # into the checkpoints, with the rest
     trainer = _trainer(settings, row.directory, chosen.figures)
     assert isinstance(trainer.logger, TensorBoardLogger)
     compared = row.names() | _flatten({part: resolved[part] for part in ("model", "training", "trainer")})
@@ -56,15 +57,16 @@ def run_row(settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> dict[s
     trainer.test(module, data, ckpt_path=checkpoint, weights_only=True, verbose=False)
     if settings.trainer.fast_dev_run:
         return {}
-    values = chosen.results()
+    values, pairs = chosen.results()
     about = {
         "dataset_ids": data.dataset_ids,
+        "derenderer": chosen.derenderer,
         "num_train": len(data.train),
         "num_test": len(data.test),
         "training_seconds": training_seconds,
         "wall_seconds": round(time.monotonic() - start, 1),
     }
-    metrics = row.finish(values, about)
+    metrics = row.finish(values, pairs, about)
     trainer.logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, trainer.global_step)
     trainer.logger.save()
     return metrics
@@ -134,10 +136,7 @@ def _resumable(ckpt: str | None, resolved: dict[str, Any]) -> str | None:
         return None
     if not Path(ckpt).is_file():
         raise CophyError(f"ckpt={ckpt} is no file")
-    try:
-        trained = _weights_depend_on(torch.load(ckpt, map_location="cpu", weights_only=True)["config"])
-    except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
-        raise CophyError(f"ckpt={ckpt} is no checkpoint of train.py, or a damaged one") from error
+    trained = _weights_depend_on(read_checkpoint(Path(ckpt).read_bytes(), Path(ckpt))["config"])
     wanted = _weights_depend_on(resolved)
     differing = [key for key in sorted(trained.keys() | wanted.keys()) if trained.get(key) != wanted.get(key)]
     if differing:
@@ -149,7 +148,8 @@ def _resumable(ckpt: str | None, resolved: dict[str, Any]) -> str | None:
 def _weights_depend_on(config: dict[str, Any]) -> dict[str, Any]:
     """The keys that a resumed training must share with the one it goes on from; it may be longer."""
     parts = {"scenario": config["scenario"], "split.train": config["split"]["train"]}
-    return _flatten(parts | {key: config[key] for key in ("model", "training", "positions", "data_seed", "size")})
+    parts |= {key: config[key] for key in ("model", "training", "data_seed", "size")}
+    return _flatten(parts | {"data": config.get("trained_on")})
 
 
 def _flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -12,6 +12,7 @@ from torch import nn
 from cophy.config import TrainConfig
 from cophy.dataset.datamodule import CounterfactualDataModule
 from cophy.dataset.frames import FrameDataModule
+from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.training.augmentation import symmetries_for
@@ -33,12 +34,15 @@ ESTIMATED: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Stage:
-    """Data and module of a row. results: after a test, every measure per test item, with what else is to be kept."""
+    """Data and module of a row. derenderer: name of the one whose estimates are seen. results: after a test, every measure
+    per test item, and the twin pair that each item is of.
+    """
 
     data: CounterfactualDataModule | FrameDataModule
     module: PredictionModule | DerenderingModule
+    derenderer: str | None
     figures: L.Callback
-    results: Callable[[], dict[str, np.ndarray]]
+    results: Callable[[], tuple[dict[str, np.ndarray], np.ndarray]]
 
 
 def stage(network: nn.Module, settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> Stage:
@@ -50,18 +54,24 @@ def stage(network: nn.Module, settings: TrainConfig, row: Row, resolved: dict[st
 
 def derenderer_for(settings: TrainConfig, row: Row) -> TrainedDerenderer:
     """The de-renderer that `derenderer` names, or the one among the runs beside the row that fits."""
-    if settings.derenderer is not None:
-        return TrainedDerenderer(Path(settings.derenderer))
-    if row.root is None:
-        raise CophyError(f"positions={settings.positions}: name the checkpoint of a de-renderer with derenderer=")
     objects = {settings.split.train.num_objects, settings.split.test.num_objects}
-    return find(row.root, row.scenario, objects)
+    if settings.derenderer is not None:
+        derenderer = TrainedDerenderer(Path(settings.derenderer))
+    elif row.root is not None:
+        derenderer = find(row.root, row.scenario, objects, row.split)
+    else:
+        raise CophyError(f"positions={settings.positions}: name the checkpoint of a de-renderer with derenderer=")
+    derenderer.check([DatasetSpec(settings.scenario, count, settings.size, settings.data_seed) for count in objects])
+    return derenderer
 
 
 def _derendering(network: Derenderer, settings: TrainConfig, resolved: dict[str, Any]) -> Stage:
+    if "rgb" not in settings.render.modalities:
+        raise CophyError("a de-renderer sees RGB: use render=rgb or render=all")
     data = FrameDataModule(
         scenario=settings.scenario,
         split=settings.split,
+        num_objects=settings.num_objects,
         size=settings.size,
         seed=settings.data_seed,
         data_dir=Path(settings.data_dir),
@@ -72,10 +82,20 @@ def _derendering(network: Derenderer, settings: TrainConfig, resolved: dict[str,
         workers=settings.workers,
     )
     module = DerenderingModule(network, settings.training, config=resolved)
-    return Stage(data, module, DerenderingFigures(settings.figures_every_n_epochs), lambda: module.tested)
+    return Stage(
+        data,
+        module,
+        None,
+        DerenderingFigures(settings.figures_every_n_epochs),
+        lambda: (module.tested, data.test.pairs),
+    )
 
 
 def _prediction(network: nn.Module, settings: TrainConfig, row: Row, resolved: dict[str, Any]) -> Stage:
+    if settings.training.confounder_weight and "train" in ESTIMATED[settings.positions]:
+        raise CophyError(
+            f"positions={settings.positions} does not go with training.confounder_weight: confounders are of true objects"
+        )
     derenderer = derenderer_for(settings, row) if ESTIMATED[settings.positions] else None
     data = CounterfactualDataModule(
         scenario=settings.scenario,
@@ -92,14 +112,15 @@ def _prediction(network: nn.Module, settings: TrainConfig, row: Row, resolved: d
     symmetries = turns if settings.training.augmentation else turns[:1]
     module = PredictionModule(network, settings.training, settings.scenario, symmetries, config=resolved)
 
-    def results() -> dict[str, np.ndarray]:
+    def results() -> tuple[dict[str, np.ndarray], np.ndarray]:
         prediction, batch = module.tested
         values = evaluate(prediction, batch, settings.scenario)
-        if prediction.confounder_estimate is not None:
+        if prediction.confounder_estimate is not None and not ESTIMATED[settings.positions]:
             fitted = estimate(network, data.train.batch, batch_size=settings.training.batch_size)
             assert fitted is not None
             values |= probe((fitted, data.train.batch), (prediction.confounder_estimate, batch))
         row.write_predictions(prediction, batch)
-        return values
+        return values, np.arange(len(data.test)) // 2
 
-    return Stage(data, module, PredictionFigures(settings.figures_every_n_epochs), results)
+    seen = derenderer.name if derenderer else None
+    return Stage(data, module, seen, PredictionFigures(settings.figures_every_n_epochs), results)
