@@ -73,7 +73,9 @@ def configuration_of(names: dict[str, Any]) -> dict[str, Any]:
     """What the names of a run stand for: the keys that make it the row it claims to be."""
     cfg = composed("train", *(f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation")))
     plain: Any = OmegaConf.to_container(cfg, resolve=True, enum_to_str=True)
-    return {key: plain[key] for key in ("model", "scenario", "split", "training", "data_seed")}
+    keys = ("model", "scenario", "split", "training", "data_seed")
+    of_pictures = ("render", "num_frames", "num_objects") if names["model"].startswith("derenderer") else ()
+    return {key: plain[key] for key in (*keys, *of_pictures)}
 
 
 def stability_distribution(runs: Any, settings: config.ReportConfig) -> dict[str, Any]:

@@ -34,7 +34,7 @@ class Images(ShardSet):
         content = json.dumps([FORMAT_VERSION, sorted(render.modalities), render.resolution, render.backend.value])
         kind = "rgb" if render.modalities == ["rgb"] else "images"
         name = f"{kind}-{render.resolution}-{render.backend.value}-{hashlib.sha256(content.encode()).hexdigest()[:6]}"
-        choice = f"render={'rgb' if kind == 'rgb' else 'all'}"
+        choice = "render=rgb" if kind == "rgb" else f"render=all 'render.modalities=[{','.join(render.modalities)}]'"
         command = (
             f"{states.command} {choice} render.resolution={render.resolution} render.backend={render.backend.value}"
         )
