@@ -63,20 +63,45 @@ def test_what_is_stored_is_what_was_drawn(finished: Images) -> None:
                 np.testing.assert_array_equal(file[name][experiment - 20, sequence], getattr(drawn, name))
 
 
-def test_a_killed_rendering_continues_to_the_same_bytes(finished: Images, tmp_path: Path) -> None:
-    copied = copy(finished, tmp_path)
+def start_rendering(data_dir: Path) -> "subprocess.Popen[bytes]":
+    command = [sys.executable, str(ROOT / "src" / "generate.py"), "scenario=collision", "size=tiny", "workers=2"]
+    command += [f"data_dir={data_dir}", "render=all", f"render.resolution={RENDER.resolution}"]
+    return subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+
+
+def empty(copied: Images) -> None:
     for path in copied.directory.iterdir():
         path.unlink()
-    command = [sys.executable, str(ROOT / "src" / "generate.py"), "scenario=collision", "size=tiny", "workers=1"]
-    command += [f"data_dir={tmp_path}", "render=all", f"render.resolution={RENDER.resolution}"]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-    while not copied.path(0).exists():
+
+
+def test_a_killed_rendering_continues_to_the_same_bytes(finished: Images, tmp_path: Path) -> None:
+    copied = copy(finished, tmp_path)
+    empty(copied)
+    process = start_rendering(tmp_path)
+    while not any(copied.path(shard).exists() for shard in range(SPEC.num_shards)):
         assert process.poll() is None, "rendering ended before it could be killed"
         time.sleep(0.02)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     generation.make(copied, workers=2)
     assert digests(copied.directory) == digests(finished.directory)
+
+
+@pytest.mark.slow
+def test_ten_kills_at_random_moments_change_no_byte(finished: Images, tmp_path: Path) -> None:
+    copied, rng = copy(finished, tmp_path), np.random.default_rng(0)
+    empty(copied)
+    for _ in range(10):
+        process = start_rendering(tmp_path)
+        time.sleep(rng.uniform(0.5, 6.0))
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        for shard in range(SPEC.num_shards):
+            if copied.path(shard).exists() and rng.random() < 0.5:
+                copied.path(shard).unlink()  # so that there is always something left to do
+    generation.make(copied, workers=2)
+    assert digests(copied.directory) == digests(finished.directory)
+    assert not list(copied.directory.glob("*.tmp"))
 
 
 def test_a_damaged_shard_is_named_and_only_it_is_drawn_again(

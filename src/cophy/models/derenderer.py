@@ -50,7 +50,9 @@ class Derenderer(nn.Module):
 
     def forward(self, image: Tensor) -> Derendered:
         """(B, 3, R, R) in [0, 1] -> positions and presence."""
-        centred = (image - 0.5).contiguous(memory_format=torch.channels_last)  # on a CPU, half to two thirds of the time
+        centred = (image - 0.5).contiguous(
+            memory_format=torch.channels_last
+        )  # on a CPU, half to two thirds of the time
         maps = self.heads(self.features(centred)).flatten(start_dim=2)
         found = torch.einsum("bkp,kpf->bkf", maps, self.regression) + self.bias
         return Derendered(self.mean + self.deviation * found[..., :3], found[..., 3])
