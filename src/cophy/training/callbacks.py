@@ -20,6 +20,7 @@ from cophy.types import Batch
 log = logging.getLogger(__name__)
 
 NUM_FRAMES_SHOWN = 8
+SMALLEST_CLIP_PX = 336
 NUM_SHOWN = 4  # experiments: two twin pairs, so that the same C is seen with two outcomes
 
 
@@ -77,6 +78,8 @@ class DerenderingFigures(L.Callback):
         )
         logger.experiment.add_figure("val/centres", centres, trainer.global_step)
         clip, position, present = _derender(pl_module, data.val.sequence_of(0).image)
+        larger = max(1, SMALLEST_CLIP_PX // clip.shape[1])
+        clip = clip.repeat(larger, axis=1).repeat(larger, axis=2)
         marked = mark(clip, position, present, camera=data.scenario.camera, marker=cv2.MARKER_TILTED_CROSS)
         rate = data.scenario.clock.frame_rate_hz
         add_clip(logger.experiment, "val/clip", marked, frames_per_second=rate, step=trainer.global_step)

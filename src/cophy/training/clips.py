@@ -35,5 +35,5 @@ def mark(frames: np.ndarray, positions: np.ndarray, presence: np.ndarray, *, cam
     for frame, places, present in zip(marked, pixels, presence, strict=True):
         for x, y in places[present].tolist():
             for color, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-                cv2.drawMarker(frame, (x, y), color, marker, max(8, frames.shape[1] // 20), width)
+                cv2.drawMarker(frame, (x, y), color, marker, max(5, frames.shape[1] // 32), width)
     return marked
