@@ -11,7 +11,7 @@ from omegaconf import MISSING
 
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
-from cophy.models.options import ConfounderInput, ConfounderSource, Decoding, Gating, Interaction
+from cophy.model_config import CoPhyNetConfig, CopyBConfig, CopyCConfig, DerendererConfig, InteractionNetworkConfig
 from cophy.scenario import Balls, Blocktower, Collision
 from cophy.scenario.rendering import RenderSettings
 from cophy.training.settings import Training
@@ -121,80 +121,6 @@ class TrainConfig(DataConfig):
         _at_least(0, data_seed=self.data_seed)
         if self.positions not in POSITIONS:
             raise ValueError(f"positions={self.positions} is not among {', '.join(POSITIONS)}")
-
-
-@dataclass
-class CoPhyNetConfig:
-    """cophy.models.cophynet.CoPhyNet, which explains its arguments."""
-
-    _target_: str = "cophy.models.cophynet.CoPhyNet"
-    hidden_dim: int = MISSING
-    gru_layers: int = MISSING
-    edge_layers: int = MISSING
-    node_layers: int = MISSING
-    temperature: float = MISSING
-    confounders: ConfounderSource = MISSING
-    gating: Gating = MISSING
-    interaction: Interaction = MISSING
-    decoding: Decoding = MISSING
-    num_frames: int | None = None
-    slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
-
-    def __post_init__(self) -> None:
-        if min(self.hidden_dim, self.gru_layers, self.node_layers) < 1 or self.edge_layers < 2:
-            raise ValueError("model: hidden_dim, gru_layers and node_layers must be at least 1, edge_layers at least 2")
-        if self.temperature <= 0:
-            raise ValueError(f"model.temperature={self.temperature} must be positive")
-        if self.decoding is Decoding.single_step and self.num_frames is None:
-            raise ValueError("model.decoding=single_step needs model.num_frames, see conf/ablation/single_step.yaml")
-        if self.interaction is Interaction.mlp and not self.slots:
-            raise ValueError("model.interaction=mlp needs model.slots, see conf/ablation/mlp.yaml")
-
-
-@dataclass
-class InteractionNetworkConfig:
-    """cophy.models.interaction_network.InteractionNetwork, which explains its arguments."""
-
-    _target_: str = "cophy.models.interaction_network.InteractionNetwork"
-    hidden_dim: int = MISSING
-    edge_layers: int = MISSING
-    node_layers: int = MISSING
-    radius: float | None = MISSING
-    confounders: ConfounderInput | None = MISSING
-
-    def __post_init__(self) -> None:
-        if min(self.hidden_dim, self.node_layers) < 1 or self.edge_layers < 2:
-            raise ValueError("model: hidden_dim and node_layers must be at least 1, edge_layers at least 2")
-        if self.radius is not None and self.radius <= 0:
-            raise ValueError(f"model.radius={self.radius} must be positive, or null for all objects")
-
-
-@dataclass
-class DerendererConfig:
-    """cophy.models.derenderer.Derenderer, which explains its arguments."""
-
-    _target_: str = "cophy.models.derenderer.Derenderer"
-    slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
-    resolution: int = MISSING
-    width: int = MISSING
-
-    def __post_init__(self) -> None:
-        if self.resolution < 8 or self.resolution % 4 or self.width < 1:
-            raise ValueError("model: resolution must be a multiple of 4 and at least 8, width at least 1")
-
-
-@dataclass
-class CopyCConfig:
-    """Nothing to configure."""
-
-    _target_: str = "cophy.models.copying.CopyC"
-
-
-@dataclass
-class CopyBConfig:
-    """Nothing to configure."""
-
-    _target_: str = "cophy.models.copying.CopyB"
 
 
 @dataclass

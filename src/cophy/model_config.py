@@ -1,0 +1,82 @@
+"""Schemas of conf/model/: the arguments of the networks, their types and ranges."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from omegaconf import MISSING
+
+from cophy.models.options import ConfounderInput, ConfounderSource, Decoding, Gating, Interaction
+
+
+@dataclass
+class CoPhyNetConfig:
+    """cophy.models.cophynet.CoPhyNet, which explains its arguments."""
+
+    _target_: str = "cophy.models.cophynet.CoPhyNet"
+    hidden_dim: int = MISSING
+    gru_layers: int = MISSING
+    edge_layers: int = MISSING
+    node_layers: int = MISSING
+    temperature: float = MISSING
+    confounders: ConfounderSource = MISSING
+    gating: Gating = MISSING
+    interaction: Interaction = MISSING
+    decoding: Decoding = MISSING
+    num_frames: int | None = None
+    slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
+
+    def __post_init__(self) -> None:
+        if min(self.hidden_dim, self.gru_layers, self.node_layers) < 1 or self.edge_layers < 2:
+            raise ValueError("model: hidden_dim, gru_layers and node_layers must be at least 1, edge_layers at least 2")
+        if self.temperature <= 0:
+            raise ValueError(f"model.temperature={self.temperature} must be positive")
+        if self.decoding is Decoding.single_step and self.num_frames is None:
+            raise ValueError("model.decoding=single_step needs model.num_frames, see conf/ablation/single_step.yaml")
+        if self.interaction is Interaction.mlp and not self.slots:
+            raise ValueError("model.interaction=mlp needs model.slots, see conf/ablation/mlp.yaml")
+
+
+@dataclass
+class InteractionNetworkConfig:
+    """cophy.models.interaction_network.InteractionNetwork, which explains its arguments."""
+
+    _target_: str = "cophy.models.interaction_network.InteractionNetwork"
+    hidden_dim: int = MISSING
+    edge_layers: int = MISSING
+    node_layers: int = MISSING
+    radius: float | None = MISSING
+    confounders: ConfounderInput | None = MISSING
+
+    def __post_init__(self) -> None:
+        if min(self.hidden_dim, self.node_layers) < 1 or self.edge_layers < 2:
+            raise ValueError("model: hidden_dim and node_layers must be at least 1, edge_layers at least 2")
+        if self.radius is not None and self.radius <= 0:
+            raise ValueError(f"model.radius={self.radius} must be positive, or null for all objects")
+
+
+@dataclass
+class DerendererConfig:
+    """cophy.models.derenderer.Derenderer, which explains its arguments."""
+
+    _target_: str = "cophy.models.derenderer.Derenderer"
+    slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
+    resolution: int = MISSING
+    width: int = MISSING
+
+    def __post_init__(self) -> None:
+        if self.resolution < 8 or self.resolution % 4 or self.width < 1:
+            raise ValueError("model: resolution must be a multiple of 4 and at least 8, width at least 1")
+
+
+@dataclass
+class CopyCConfig:
+    """Nothing to configure."""
+
+    _target_: str = "cophy.models.copying.CopyC"
+
+
+@dataclass
+class CopyBConfig:
+    """Nothing to configure."""
+
+    _target_: str = "cophy.models.copying.CopyB"
