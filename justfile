@@ -11,7 +11,7 @@ default:
 setup:
     @cmp -s requirements.lock .venv/requirements.lock || ({{python}} -m venv .venv && {{bin}}/pip install {{packages}} && {{bin}}/pip install --no-deps -e . && cp requirements.lock .venv/)
 
-# generate data, train one row of the paper's Table 4, test it and print it (under 15 minutes on two cores)
+# generate data, train one row of the paper's Table 4, test it and print it (six minutes on two cores)
 demo: setup
     {{bin}}/python src/train.py +table=collision hydra.sweeper.params.split=all trainer.max_epochs=15 hydra.sweep.dir=outputs/demo
     {{bin}}/python src/report.py outputs=outputs/demo
