@@ -57,6 +57,18 @@ def test_seeds_are_averaged_and_a_failed_one_is_counted() -> None:
     assert "2800 training and 400 test experiments; 40 epochs" in filled.caption
 
 
+def test_estimated_positions_fill_tables_of_their_own_and_name_the_derenderer() -> None:
+    estimated = {"positions": "train_ground_truth_test_derendered", "derenderer": "0123abcd"}
+    runs = pd.DataFrame([measured("mse", 0.2, "cophynet"), measured("mse", 0.3, "cophynet", **estimated)])
+    assert fill(TABLES["blocktower"], runs).cells().loc["3→3", "CoPhyNet"].startswith("0.200")
+    filled = fill(TABLES["blocktower_derendered"], runs)
+    assert filled.cells().loc["3→3", "CoPhyNet"].startswith("0.300")
+    assert "de-renderer 0123abcd" in filled.caption
+    trained = fill(TABLES["training_positions"], runs).cells()
+    assert trained.loc["3→3", "CoPhyNet, trained on true positions"].startswith("0.300")
+    assert trained.loc["3→3", "CoPhyNet, trained on estimated positions"].startswith("—")
+
+
 def test_runs_of_a_smaller_size_do_not_mix_in() -> None:
     runs = pd.DataFrame(
         [measured("mse", 0.2, "cophynet"), measured("mse", 0.9, "cophynet", seed=1, size="tiny", num_train=28)]

@@ -81,6 +81,7 @@ def _show(values: "pd.Series[float]") -> str:
 def _read(path: Path) -> dict[str, Any]:
     content = json.loads(path.read_bytes())
     line = {name: content[name] for name in (*NAMES, *COUNTS, "dataset_ids")} | {"error": None}
+    line["derenderer"] = content.get("derenderer")  # None where true positions were seen
     for name, value in content["metrics"].items():
         low, high = content["intervals"][name]
         line |= {name: float(value), f"{name}_low": float(low), f"{name}_high": float(high)}

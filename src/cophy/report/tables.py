@@ -150,4 +150,6 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
         notes.append(
             "Where the true confounders are given, they include what positions hide: initial velocity, shape and orientation."
         )
+    if "derenderer" in used and len(names := sorted(used["derenderer"].dropna().unique())):
+        notes.append(f"Positions estimated by de-renderer {' and '.join(names)} (hash of its checkpoint).")
     return " ".join([*notes, table.note]).strip()
