@@ -5,7 +5,7 @@ from typing import Any
 
 from omegaconf import MISSING
 
-from cophy.models.options import ConfounderInput, ConfounderSource, Decoding, Gating, Interaction
+from cophy.models.options import ConfounderInput, ConfounderSource, Decoding, Gating, Interaction, Readout
 
 
 @dataclass
@@ -62,6 +62,7 @@ class DerendererConfig:
     slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
     resolution: int = MISSING
     width: int = MISSING
+    readout: Readout = MISSING
 
     def __post_init__(self) -> None:
         if self.resolution < 8 or self.resolution % 4 or self.width < 1:

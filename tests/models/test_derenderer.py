@@ -9,34 +9,43 @@ from cophy.training.run import build_network
 from tests.conftest import composed
 
 
-def network(num_slots: int = 4, width: int = 4, resolution: int = 32) -> Derenderer:
+def network(readout: str = "attention", num_slots: int = 4, width: int = 4) -> Derenderer:
     torch.manual_seed(0)
-    return Derenderer(slots=[str(k) for k in range(num_slots)], resolution=resolution, width=width)
+    return Derenderer(slots=[str(k) for k in range(num_slots)], resolution=32, width=width, readout=readout)
 
 
-def test_shapes_and_the_channels_of_the_paper() -> None:
+either_readout = pytest.mark.parametrize("readout", ["attention", "linear"])
+
+
+def test_the_channels_of_the_paper() -> None:
     config = composed("train", "model=derenderer_paper", "scenario=balls")
     paper = build_network(OmegaConf.to_container(config.model, resolve=True))
     convolutions = [module for module in paper.modules() if isinstance(module, torch.nn.Conv2d)]
     assert [c.out_channels for c in convolutions] == [64, 64, 128, 128, 261, 261, 9, 9]  # 256 rounded up to nine shares
-    assert paper.regression.shape == (9, 56 * 56, 4)
-    found = network(num_slots=9)(torch.rand(2, 3, 32, 32))
+    assert paper.heads.weight.shape == (9, 56 * 56, 4)
+
+
+@either_readout
+def test_shapes(readout: str) -> None:
+    found = network(readout, num_slots=9)(torch.rand(2, 3, 32, 32))
     assert found.position.shape == (2, 9, 3)
     assert found.presence_logit.shape == (2, 9)
 
 
-def test_a_head_sees_its_own_channels_only() -> None:
-    model = network().eval()
+@either_readout
+def test_a_head_sees_its_own_channels_only(readout: str) -> None:
+    model = network(readout).eval()
     features = torch.rand(1, 16, 8, 8)
     changed = features.clone()
     changed[:, 4:8] += 1.0  # the second of four shares
-    difference = (model.heads(features) - model.heads(changed)).abs().sum(dim=(0, 2, 3))
+    difference = (model.heads(features) - model.heads(changed)).abs().sum(dim=(0, 2))
     assert difference[1] > 0
     assert difference[[0, 2, 3]].sum() == 0
 
 
-def test_every_parameter_gets_a_gradient() -> None:
-    model = network()
+@either_readout
+def test_every_parameter_gets_a_gradient(readout: str) -> None:
+    model = network(readout)
     found = model(torch.rand(8, 3, 32, 32))
     (found.position.square().sum() + found.presence_logit.sum()).backward()
     missing = [
@@ -53,8 +62,9 @@ def test_positions_are_learned_in_units_of_their_spread() -> None:
     torch.testing.assert_close(model(images).position, expected)
 
 
-def test_one_batch_overfits() -> None:
-    model, generator = network(num_slots=2, width=8), torch.Generator().manual_seed(0)
+@either_readout
+def test_one_batch_overfits(readout: str) -> None:
+    model, generator = network(readout, num_slots=2, width=8), torch.Generator().manual_seed(0)
     images, positions = torch.zeros(8, 3, 32, 32), torch.rand(8, 2, 3, generator=generator)
     for image, places in zip(images, positions, strict=True):
         for color, (x, y, _) in enumerate(places.tolist()):

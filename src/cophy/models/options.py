@@ -36,3 +36,10 @@ class Decoding(Enum):
 
     autoregressive = "autoregressive"
     single_step = "single_step"
+
+
+class Readout(Enum):
+    """How a de-renderer reads positions off its maps: by where an object is and how it looks there, or linearly (paper)."""
+
+    attention = "attention"
+    linear = "linear"

@@ -59,7 +59,7 @@ class TrainedDerenderer:
         """(N, R, R, 3) uint8 -> positions (N, K, 3) in metres, presence logits (N, K)."""
         network = self._loaded()
         images = torch.stack([to_image(frame, network.resolution) for frame in rgb])
-        device = network.bias.device
+        device = network.mean.device
         with torch.no_grad():
             found = [network(part.to(device).float() / 255) for part in torch.split(images, FRAMES_AT_ONCE)]
         position, presence = (torch.cat(parts).cpu().numpy() for parts in zip(*found, strict=True))
