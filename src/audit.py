@@ -11,27 +11,30 @@ from rich.table import Table
 from cophy import cli, config
 from cophy.dataset.audit import audit
 from cophy.dataset.states import States
+from cophy.report.audit_page import write_page
 from generate import specs
 
 config.register()
 
 
-@hydra.main(version_base="1.3", config_path="../conf", config_name="generate")
+@hydra.main(version_base="1.3", config_path="../conf", config_name="audit")
 def main(cfg: DictConfig) -> None:
-    settings: config.GenerateConfig = cli.to_config(cfg)
-    sound = True
+    settings: config.AuditConfig = cli.to_config(cfg)
+    failing = []
     for spec in specs(settings):
         states = States(spec, Path(settings.data_dir))
-        checks = list(audit(states.load(), spec))
+        arrays = states.load()
+        checks = list(audit(arrays, spec, replayed_pairs=settings.replayed_pairs))
         table = Table(
             "", "check", "found", title=f"{states.directory}: {spec.num_experiments} experiments", title_justify="left"
         )
         for check in checks:
             table.add_row("[green]ok[/]" if check.passed else "[bold red]FAILS[/]", check.name, check.found)
-        Console().print(table)
-        sound &= all(check.passed for check in checks)
-    if not sound:
-        sys.exit("audit: a check fails, see above")
+        page = write_page(checks, arrays, spec, Path(settings.directory) / spec.id)
+        Console().print(table, f"with figures: {page}", soft_wrap=False)
+        failing += [f"{spec.id}: {check.name}: {check.found}" for check in checks if not check.passed]
+    if failing:
+        sys.exit("audit: " + "\naudit: ".join(failing))
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ def main(cfg: DictConfig) -> None:
             generation.make(Images(states, settings.render), workers=settings.workers)
 
 
-def specs(settings: config.GenerateConfig | config.DerenderConfig) -> list[DatasetSpec]:
+def specs(settings: config.DataConfig) -> list[DatasetSpec]:
     """The datasets that the split, or num_objects, names."""
     settings.split.check_scenario(settings.scenario)
     counts = settings.num_objects or sorted({settings.split.train.num_objects, settings.split.test.num_objects})

@@ -135,7 +135,17 @@ def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_pat
     assert "shard-00001.h5 is damaged" in printed
     assert "run `python src/generate.py scenario=collision" in printed
     run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
-    run("audit", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
+    audited = (
+        "scenario=collision",
+        "size=tiny",
+        f"data_dir={tmp_path}",
+        "replayed_pairs=2",
+        f"directory={tmp_path}/audit",
+    )
+    run("audit", *audited)
+    (page,) = tmp_path.glob("audit/*/audit.md")
+    assert "no of 24 lines fail" in page.read_text()
+    assert page.with_name("outcomes.png").stat().st_size > 10_000
 
 
 def test_audit_reports_a_twin_in_another_split(tmp_path: Path) -> None:
@@ -149,7 +159,14 @@ def test_audit_reports_a_twin_in_another_split(tmp_path: Path) -> None:
     manifest = shard.with_name("manifest.json")
     manifest.unlink()
     run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")  # vouches for what it finds
-    assert "FAILS" in run("audit", "scenario=collision", "size=tiny", f"data_dir={tmp_path}", code=1)
+    audited = (
+        "scenario=collision",
+        "size=tiny",
+        f"data_dir={tmp_path}",
+        "replayed_pairs=2",
+        f"directory={tmp_path}/audit",
+    )
+    assert "audit: 2-tiny" in run("audit", *audited, code=1)
 
 
 def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> None:

@@ -26,21 +26,42 @@ class DataConfig:
     scenario: Any = MISSING
     split: Any = MISSING
     size: Any = MISSING
+    num_objects: list[int] | None = None
     data_dir: str = MISSING
-    workers: int = MISSING
     seed: int = MISSING
 
     def __post_init__(self) -> None:
-        _at_least(1, workers=self.workers)
         _at_least(0, seed=self.seed)
 
 
 @dataclass
-class GenerateConfig(DataConfig):
-    """generate.py and audit.py. num_objects: None for those the split needs. render is a group."""
+class MakeDataConfig(DataConfig):
+    """What every command that makes data takes. workers: processes."""
+
+    workers: int = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_least(1, workers=self.workers)
+
+
+@dataclass
+class GenerateConfig(MakeDataConfig):
+    """generate.py. num_objects: None for those the split needs. render is a group."""
 
     render: Any = MISSING
-    num_objects: list[int] | None = None
+
+
+@dataclass
+class AuditConfig(DataConfig):
+    """audit.py. replayed_pairs: twin pairs per dataset that are made and simulated again."""
+
+    replayed_pairs: int = MISSING
+    directory: str = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_least(1, replayed_pairs=self.replayed_pairs)
 
 
 @dataclass
@@ -57,10 +78,9 @@ class LookConfig(GenerateConfig):
 
 
 @dataclass
-class DerenderConfig(DataConfig):
+class DerenderConfig(MakeDataConfig):
     """derender.py. derenderer: a checkpoint, None for the one that fits among the runs in `outputs`."""
 
-    num_objects: list[int] | None = None
     derenderer: str | None = None
     outputs: str = MISSING
 
@@ -94,7 +114,7 @@ class TrainerConfig:
 
 
 @dataclass
-class TrainConfig(DataConfig):
+class TrainConfig(MakeDataConfig):
     """train.py. data_seed: seed of the dataset; seed: of the training. render, num_frames, num_objects: what a de-renderer is trained on.
 
     derenderer: checkpoint of the de-renderer whose estimates are seen instead of true positions; None for the one in outputs/.
@@ -106,7 +126,6 @@ class TrainConfig(DataConfig):
     positions: str = MISSING
     render: Any = MISSING
     num_frames: int = MISSING
-    num_objects: list[int] | None = None
     derenderer: str | None = None
     data_seed: int = MISSING
     threads: int = MISSING
@@ -157,6 +176,7 @@ def register() -> None:
         "schema/root": {
             "train": TrainConfig,
             "generate": GenerateConfig,
+            "audit": AuditConfig,
             "derender": DerenderConfig,
             "look": LookConfig,
             "predict": PredictConfig,

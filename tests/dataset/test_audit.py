@@ -7,13 +7,13 @@ from cophy.dataset.audit import audit
 from tests.conftest import tiny_spec
 
 
-def failing(arrays: dict, spec) -> set[str]:
-    return {check.name for check in audit(arrays, spec) if not check.passed}
+def failing(arrays: dict, spec, replayed_pairs: int = 1) -> set[str]:
+    return {check.name for check in audit(arrays, spec, replayed_pairs=replayed_pairs) if not check.passed}
 
 
 def test_a_sound_dataset_passes(tiny) -> None:
     spec, arrays = tiny
-    assert not failing(arrays, spec)
+    assert not failing(arrays, spec, replayed_pairs=3)
 
 
 @pytest.mark.parametrize(
@@ -23,6 +23,10 @@ def test_a_sound_dataset_passes(tiny) -> None:
         ("split", "twins share all but confounders"),
         ("do_slot", "twins share all but confounders"),
         ("split", "train : val : test, by twin pair"),
+        ("configuration", "confounders are those of the configuration"),
+        ("mass", "confounders are those of the configuration"),
+        ("gravity", "confounders are those of the configuration"),
+        ("do_offset", "C is A under the do-operation"),
     ],
 )
 def test_a_planted_fault_is_caught(tiny, name: str, check: str) -> None:
@@ -50,3 +54,40 @@ def test_unbalanced_masses_are_caught(tiny) -> None:
 def test_tiny_strata_are_exactly_level() -> None:
     spec = tiny_spec("blocktower")
     assert spec.num_experiments % (2 * spec.scenario.num_cells()) == 0
+
+
+def with_state(arrays: dict, coordinate: int, value: float) -> dict:
+    """Coordinate of every object in frame 9 of the first CD replaced."""
+    states = arrays["states"].copy()
+    states[0, 1, 9, arrays["presence"][0, 1], coordinate] = value
+    return arrays | {"states": states}
+
+
+def test_states_that_no_rigid_bodies_have_are_caught(tiny) -> None:
+    spec, arrays = tiny
+    fast = failing(with_state(arrays, 7, 50.0), spec)
+    assert "no sequence gains energy" in fast
+    assert "made again from the seed, the same bytes" in failing(
+        with_state(arrays, 7, 50.0), spec, replayed_pairs=10**6
+    )
+    assert "objects are above the floor, centres at least" in failing(with_state(arrays, 2, 0.1), spec)
+    if spec.scenario.name != "blocktower":
+        assert "objects stay in sight" in failing(with_state(arrays, 0, 99.0), spec)
+
+
+def test_objects_in_one_place_are_caught(tiny) -> None:
+    spec, arrays = tiny
+    states = arrays["states"].copy()
+    first, second = np.flatnonzero(arrays["presence"][0, 0])[:2]
+    states[0, 0, 9, first, :3] = states[0, 0, 9, second, :3]
+    assert "objects are apart, centres at least" in failing(arrays | {"states": states}, spec)
+
+
+def test_confounders_of_another_experiment_are_caught(tiny) -> None:
+    spec, arrays = tiny
+    swapped = dict(arrays)
+    for name in ("mass", "friction", "restitution", "gravity", "configuration"):
+        swapped[name] = arrays[name].copy()
+        swapped[name][[0, 1]] = arrays[name][[1, 0]]
+    caught = failing(swapped, spec, replayed_pairs=len(arrays["twin"]) // 2)
+    assert "made again from the seed, the same bytes" in caught

@@ -128,7 +128,7 @@ def test_an_experiment_is_a_pure_function_of_seed_and_index(name: str, tiny_data
         later = spec.scenario.twin_pair(spec.num_objects, seed=spec.seed, pair=1, simulator=simulator)
         earlier = spec.scenario.twin_pair(spec.num_objects, seed=spec.seed, pair=0, simulator=simulator)
     stored = States(spec, tiny_data).load()
-    arrays = to_arrays([*earlier, *later], 0, spec)
+    arrays = to_arrays([*earlier, *later], range(4), spec)
     for array, expected in ((arrays[key], stored[key]) for key in stored):
         np.testing.assert_array_equal(array[:4], expected[:4])
 

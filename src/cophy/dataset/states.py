@@ -32,7 +32,7 @@ class States(ShardSet):
                     self.spec.num_objects, seed=self.spec.seed, pair=first // 2, simulator=simulator
                 )
                 advance(2)
-        path.write_bytes(encode(to_arrays(experiments, shard, self.spec)))
+        path.write_bytes(encode(to_arrays(experiments, self.spec.experiments_of_shard(shard), self.spec)))
         return {"simulations": simulator.num_simulations}
 
     def check(self, path: Path, shard: int) -> None:
@@ -91,13 +91,12 @@ def layout(spec: DatasetSpec) -> dict[str, tuple[tuple[int, ...], str]]:
     }
 
 
-def to_arrays(experiments: Sequence[Experiment], shard: int, spec: DatasetSpec) -> dict[str, np.ndarray]:
-    """Stack the experiments of a shard."""
-    indices = spec.experiments_of_shard(shard)
+def to_arrays(experiments: Sequence[Experiment], indices: Sequence[int], spec: DatasetSpec) -> dict[str, np.ndarray]:
+    """Stack experiments, which have these indices in the dataset."""
     arrays = {name: np.zeros((len(indices), *shape), dtype) for name, (shape, dtype) in layout(spec).items()}
     arrays["object_index"][:] = -1
     arrays["twin"][:] = np.array(indices) // 2
-    arrays["split"][:] = split_of_experiments(spec.num_experiments, spec.seed)[indices]
+    arrays["split"][:] = split_of_experiments(spec.num_experiments, spec.seed)[list(indices)]
     seen = seen_configurations(spec.scenario.confounders.num_configurations(spec.num_objects), spec.seed)
     for row, experiment in enumerate(experiments):
         for name, value in _fields(experiment, spec).items():

@@ -1,0 +1,23 @@
+"""One line of an audit, and how far a share may be off."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+BALANCE = 0.05  # paper Sec. 3: 50 ± 5 % of the counterfactual outcomes are stable
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was looked at, what was found, and whether that is sound."""
+
+    name: str
+    found: str
+    passed: bool
+
+
+def tolerance(share: float, draws: int) -> float:
+    """BALANCE, or three standard deviations of a share among `draws` independent draws where that is more (tiny sets)."""
+    return max(BALANCE, 3 * float(np.sqrt(share * (1 - share) / draws)))

@@ -1,0 +1,63 @@
+"""Strata, do-operations and confounder values are level (paper Sec. 3: balanced and bias free)."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from scipy.stats import ks_2samp
+
+from cophy.dataset.audit.check import Arrays, Check, tolerance
+from cophy.dataset.spec import DatasetSpec
+
+FURTHEST = 0.5  # ours: Kolmogorov-Smirnov; a heavy object flies less far than a light one, but no value settles how far
+
+
+def shares(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    """Frequencies of strata, do-operations and confounder values: equal, up to chance and BALANCE."""
+    scenario, count, cells = spec.scenario, len(arrays["twin"]), spec.scenario.num_cells()
+    strata, kinds, grid = scenario.strata(), scenario.do_operations, scenario.confounders
+    yield _level("strata", arrays["stratum"], dict(enumerate(strata)), draws=count)
+    yield _level("do-operations", arrays["do_operation"], dict(enumerate(kinds)), draws=count // (2 * cells))
+    present = arrays["object_index"] >= 0
+    # each configuration that is drawn serves one experiment per cell
+    for name in ("mass", "friction", "restitution"):
+        values = {value: f"{value:g}" for value in getattr(grid, name)}
+        yield _level(name, arrays[name][present], values, draws=present.sum() // cells)
+    for axis, name in enumerate(("gravity_x", "gravity_y")):
+        values = {value: f"{value:g}" for value in getattr(grid, name)}
+        yield _level(name, arrays["gravity"][:, axis], values, draws=count // cells)
+
+
+def _level(name: str, values: np.ndarray, labels: Mapping[float, str], *, draws: int) -> Check:
+    share = {label: float(np.isclose(values, value).mean()) for value, label in labels.items()}
+    equal = 1 / len(share)
+    passed = all(abs(value - equal) <= tolerance(equal, draws) for value in share.values())
+    return Check(f"share of {name}", "  ".join(f"{label} {value:.1%}" for label, value in share.items()), passed)
+
+
+def trajectories(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    """How far apart the distributions of paths in CD are under two values of an object's own confounder."""
+    for name, paths in paths_per_value(arrays, spec).items():
+        samples = list(paths.values())
+        if len(samples) > 1 and min(map(len, samples)) > 0:
+            apart = max(ks_2samp(samples[0], other).statistic for other in samples[1:])
+            limit = FURTHEST + 1 / np.sqrt(min(map(len, samples)))  # chance adds to it in tiny sets
+            found = f"apart by {apart:.2f} ≤ {limit:.2f} (Kolmogorov-Smirnov)"
+            yield Check(f"paths in CD per {name}", found, bool(apart <= limit))
+
+
+def paths_per_value(arrays: Arrays, spec: DatasetSpec) -> dict[str, dict[float, np.ndarray]]:
+    """Confounder -> value -> how far objects with that value are from their start in CD, averaged over time, metres.
+
+    Per object in the scenario's order where this has a meaning (collision: moving, static), else over all objects.
+    """
+    position, presence = arrays["states"][:, 1, ..., :3], arrays["presence"][:, 1]
+    moved = np.linalg.norm(position - position[:, :1], axis=-1).mean(axis=1)
+    places = [(f" of object {k}", arrays["object_index"] == k) for k in range(spec.num_objects)]
+    return {
+        name + place: {
+            value: moved[presence & chosen & np.isclose(arrays[name], value)]
+            for value in getattr(spec.scenario.confounders, name)
+        }
+        for place, chosen in (places if spec.scenario.num_cells() > 1 else [("", presence)])
+        for name in ("mass", "friction", "restitution")
+    }

@@ -1,0 +1,95 @@
+"""States are those of rigid bodies in this scene: finite, apart, in sight, without energy from nowhere."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cophy.dataset.audit.check import Arrays, Check
+from cophy.dataset.replay import do_operation_of, scene_of, trajectories_of
+from cophy.dataset.spec import DatasetSpec
+from cophy.scenario.energy import largest_gain
+from cophy.scenario.search import SimulatedSearch
+
+ROUNDING_M = 1e-5  # of float32
+DEEPEST = 0.05  # penetration as a share of an object's size: what Bullet needs to turn the fastest balls around (docs/physics.md)
+LARGEST_GAIN = 0.01  # of energy between two states, as conf/scenario/balls.yaml has it
+
+
+def states(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    """All checks on trajectories."""
+    finite = bool(np.isfinite(arrays["states"]).all())
+    empty = not arrays["states"].swapaxes(2, 3)[~arrays["presence"]].any()
+    yield Check("states are finite, empty slots zero", "yes" if finite and empty else "no", finite and empty)
+    yield _configurations(arrays, spec)
+    if finite:
+        yield _do_operations(arrays)
+        yield from _places(arrays, spec)
+        yield _energy(arrays, spec)
+
+
+def _configurations(arrays: Arrays, spec: DatasetSpec) -> Check:
+    """Masses, frictions, restitutions and gravity are those of the configuration, in the scenario's order."""
+    wrong = []
+    for row, configuration in enumerate(arrays["configuration"].tolist()):
+        if not 0 <= configuration < spec.scenario.confounders.num_configurations(spec.num_objects):
+            wrong.append(row)
+            continue
+        truth = spec.scenario.confounders.decode(configuration, spec.num_objects)
+        order = np.argsort(np.where(arrays["object_index"][row] < 0, spec.num_objects, arrays["object_index"][row]))
+        slots = order[: spec.num_objects]
+        stored = [arrays[name][row, slots] for name in ("mass", "friction", "restitution")]
+        expected = [truth.mass, truth.friction, truth.restitution]
+        if not np.allclose(stored, expected) or not np.allclose(arrays["gravity"][row, :2], truth.gravity_xy):
+            wrong.append(row)
+    return _all("confounders are those of the configuration", wrong)
+
+
+def _do_operations(arrays: Arrays) -> Check:
+    """At t = 0, C differs from A by the do-operation and by nothing else."""
+    wrong = []
+    for row, (first, second) in enumerate(arrays["states"][:, :, 0, :, :7].astype(np.float64)):
+        expected, presence = first.copy(), arrays["presence"][row, 0].copy()
+        slot = int(arrays["do_slot"][row])
+        expected[slot, :3] += arrays["do_offset"][row]
+        if not arrays["presence"][row, 1, slot]:
+            expected[slot], presence[slot] = 0.0, False
+        same = (presence == arrays["presence"][row, 1]).all()
+        if not same or np.abs(expected - second).max() > ROUNDING_M:
+            wrong.append(row)
+    return _all("C is A under the do-operation", wrong)
+
+
+def _places(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    size, position, presence = spec.scenario.object_size_m, arrays["states"][..., :3], arrays["presence"]
+    # spheres that fit into two objects cannot overlap, whatever the objects' shapes and turns
+    others = ~np.eye(presence.shape[-1], dtype=bool)
+    nearest = np.inf
+    for rows, present in zip(position, presence, strict=True):  # one experiment at a time: pairs take memory
+        distance = np.linalg.norm(rows[:, :, :, None] - rows[:, :, None, :], axis=-1)
+        both = np.broadcast_to((present[:, None, :, None] & present[:, None, None, :] & others), distance.shape)
+        nearest = min(nearest, distance[both].min(initial=np.inf))
+    limit = (1 - DEEPEST) * size
+    yield Check("objects are apart, centres at least", f"{nearest:.3f} m ≥ {limit:g} m", bool(nearest >= limit))
+    seen = np.broadcast_to(presence[:, :, None], position.shape[:-1])
+    lowest, limit = position[..., 2][seen].min(), (0.5 - DEEPEST) * size
+    yield Check("objects are above the floor, centres at least", f"{lowest:.3f} m ≥ {limit:g} m", bool(lowest >= limit))
+    if isinstance(spec.scenario, SimulatedSearch):
+        furthest, extent = np.abs(position[..., :2][seen]).max(), spec.scenario.extent
+        yield Check("objects stay in sight", f"{furthest:.2f} m ≤ {extent:g} m", bool(furthest <= extent + ROUNDING_M))
+
+
+def _energy(arrays: Arrays, spec: DatasetSpec) -> Check:
+    """No impact adds more than LARGEST_GAIN."""
+    most, where = 0.0, 0
+    for row in range(len(arrays["states"])):
+        scene = scene_of(arrays, row, spec.scenario)
+        scenes = (scene, do_operation_of(arrays, row).apply(scene))
+        gain = max(largest_gain(s, t) for s, t in zip(scenes, trajectories_of(arrays, row), strict=True))
+        if gain > most:
+            most, where = gain, row
+    return Check("no sequence gains energy", f"at most {most:.2%} (experiment {where})", most <= LARGEST_GAIN)
+
+
+def _all(name: str, wrong: list[int]) -> Check:
+    found = f"not in {len(wrong)} experiments, the first is {wrong[0]}" if wrong else "yes"
+    return Check(name, found, not wrong)

@@ -1,0 +1,39 @@
+"""Twins share all but confounders, differ in both outcomes, and stay on one side of the split."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cophy.dataset.audit.check import Arrays, Check
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.splits import split_of_experiments
+
+SHARED_BY_TWINS = (
+    "twin",
+    "split",
+    "shape",
+    "object_index",
+    "presence",
+    "do_operation",
+    "do_slot",
+    "do_offset",
+    "background_seed",
+)
+
+
+def twins(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    """All checks on pairs of twins."""
+    differing = [name for name in SHARED_BY_TWINS if (arrays[name][::2] != arrays[name][1::2]).any()]
+    first, second = arrays["states"][::2], arrays["states"][1::2]
+    if (first[:, :, 0] != second[:, :, 0]).any():
+        differing.append("states at t = 0")
+    yield Check("twins share all but confounders", ", ".join(differing) or "yes", not differing)
+    distance = np.linalg.norm(first[..., :3] - second[..., :3], axis=-1).mean(axis=2)
+    smallest = np.where(arrays["presence"][::2], distance, 0.0).max(axis=-1).min()
+    needed = spec.scenario.min_difference
+    yield Check(
+        "smallest difference of twins, AB and CD", f"{smallest:.3f} m ≥ {needed} m", bool(smallest >= needed - 1e-4)
+    )
+    in_place = np.array_equal(arrays["split"], split_of_experiments(spec.num_experiments, spec.seed))
+    shares = " : ".join(f"{share:.2f}" for share in np.bincount(arrays["split"], minlength=3) / len(arrays["split"]))
+    yield Check("train : val : test, by twin pair", shares, in_place)
