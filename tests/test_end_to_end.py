@@ -144,7 +144,7 @@ def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_pat
     )
     run("audit", *audited)
     (page,) = tmp_path.glob("audit/*/audit.md")
-    assert "no of 24 lines fail" in page.read_text()
+    assert "no of 25 lines fail" in page.read_text()
     assert page.with_name("outcomes.png").stat().st_size > 10_000
 
 
