@@ -10,6 +10,7 @@ from rich.table import Table
 
 from cophy import cli, config
 from cophy.dataset.audit import audit
+from cophy.dataset.card import write_card
 from cophy.dataset.states import States
 from cophy.report.audit_page import write_page
 from generate import specs
@@ -32,6 +33,13 @@ def main(cfg: DictConfig) -> None:
             table.add_row("[green]ok[/]" if check.passed else "[bold red]FAILS[/]", check.name, check.found)
         page = write_page(checks, arrays, spec, Path(settings.directory) / spec.id)
         Console().print(table, f"with figures: {page}", soft_wrap=False)
+        wrong = [check.name for check in checks if not check.passed]
+        said = (
+            f"{len(wrong)} of {len(checks)} lines fail: {'; '.join(wrong)}"
+            if wrong
+            else f"all {len(checks)} lines hold"
+        )
+        write_card(spec, states.directory, f"{said} ({settings.replayed_pairs} twin pairs simulated again)")
         failing += [f"{spec.id}: {check.name}: {check.found}" for check in checks if not check.passed]
     if failing:
         sys.exit("audit: " + "\naudit: ".join(failing))

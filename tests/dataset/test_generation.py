@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from cophy.dataset import generation
 from cophy.dataset.shardset import MANIFEST, DamagedShardError
 from cophy.dataset.states import States, decode, encode
 from cophy.errors import CophyError
-from tests.conftest import ROOT, tiny_spec
+from tests.conftest import ROOT, SCENARIOS, tiny_spec
 
 SPEC = tiny_spec("collision")
 
@@ -147,3 +148,15 @@ def test_a_changed_constant_is_another_dataset() -> None:
     judged_otherwise = tiny_spec("collision")
     judged_otherwise.scenario.task.stable_speed += 0.01
     assert judged_otherwise.id == SPEC.id
+
+
+def test_the_card_says_how_to_load_a_dataset(tiny_data: Path) -> None:
+    """Its five lines of Python do what they say."""
+    for name in SCENARIOS:
+        directory = tiny_spec(name).directory(tiny_data)
+        card = (directory / "README.md").read_text()
+        found: dict = {}
+        code = textwrap.dedent(card[card.index("    import h5py") : card.index("Audit:")])
+        exec(code.replace("shard-00000.h5", str(directory / "shard-00000.h5")), found)
+        assert found["states"].shape[:2] == (20, 2)
+        assert found["present"].shape == found["states"].shape[:2] + found["mass"].shape[1:]

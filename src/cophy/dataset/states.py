@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from cophy.dataset.card import write_card
 from cophy.dataset.shardset import DamagedShardError, ShardSet, dataset_in
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
@@ -38,6 +39,11 @@ class States(ShardSet):
     def check(self, path: Path, shard: int) -> None:
         """Read it all."""
         decode(path.read_bytes(), shard, self.spec)
+
+    def write_manifest(self) -> None:
+        """Vouch for a finished set, and say what it is."""
+        super().write_manifest()
+        write_card(self.spec, self.directory, f"not run yet, `{self.command.replace('generate.py', 'audit.py')}`")
 
     def description(self) -> dict[str, Any]:
         """Configuration and names of the strata."""
