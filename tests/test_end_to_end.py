@@ -174,7 +174,7 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     """De-renderer, estimates, a predictor that sees them, and a prediction from files."""
     small = ("scenario=collision", "render.resolution=16", f"hydra.sweep.dir={tmp_path}", f"data_dir={tiny_data}")
     place = "{}/full/{}/seed0"
-    sizes = ("model.resolution=16", "model.width=2", "num_frames=200", "trainer.max_epochs=2")
+    sizes = ("model.resolution=16", "model.width=2", "model.readout=linear", "num_frames=200", "trainer.max_epochs=2")
     row = "collision/all/" + place.format("derenderer", "ground_truth")
     train("model=derenderer", *small[:2], *sizes, f"hydra.run.dir={tmp_path / row}", data=tiny_data)
     measured = json.loads((tmp_path / row / "metrics.json").read_text())["metrics"]

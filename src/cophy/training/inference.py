@@ -70,6 +70,8 @@ def predict(
         "presence_logit": np.stack([logit, logit_in_c])[None],
     }
     batch = with_estimates(_unknown(num_frames, predictor.scenario.num_slots), estimates, predictor.scenario)
+    if not batch.presence.any():
+        raise CophyError("the de-renderer sees no object in C: is it trained, and is the picture of its scenario?")
     with torch.no_grad():
         prediction = predictor.network(batch)
     positions = torch.cat([batch.initial[:, None], prediction.position], dim=1)
