@@ -31,6 +31,11 @@ def train(*arguments: object, data: Path, **kwargs: int) -> str:
     return run("train", *arguments, "size=tiny", f"data_dir={data}", *epochs, **kwargs)
 
 
+def audit(data: Path, **kwargs: int) -> str:
+    where = (f"data_dir={data}", f"directory={data}/audit")
+    return run("audit", "scenario=collision", "size=tiny", "replayed_pairs=2", *where, **kwargs)
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: Path) -> None:
     train(f"scenario={name}", f"hydra.run.dir={tmp_path}", data=tiny_data)
@@ -135,14 +140,7 @@ def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_pat
     assert "shard-00001.h5 is damaged" in printed
     assert "run `python src/generate.py scenario=collision" in printed
     run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
-    audited = (
-        "scenario=collision",
-        "size=tiny",
-        f"data_dir={tmp_path}",
-        "replayed_pairs=2",
-        f"directory={tmp_path}/audit",
-    )
-    run("audit", *audited)
+    audit(tmp_path)
     (page,) = tmp_path.glob("audit/*/audit.md")
     assert "FAILS" not in page.read_text()
     assert page.with_name("outcomes.png").stat().st_size > 10_000
@@ -160,14 +158,7 @@ def test_audit_reports_a_twin_in_another_split(tmp_path: Path) -> None:
     manifest = shard.with_name("manifest.json")
     manifest.unlink()
     run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")  # vouches for what it finds
-    audited = (
-        "scenario=collision",
-        "size=tiny",
-        f"data_dir={tmp_path}",
-        "replayed_pairs=2",
-        f"directory={tmp_path}/audit",
-    )
-    assert "audit: 2-tiny" in run("audit", *audited, code=1)
+    assert "audit: 2-tiny" in audit(tmp_path, code=1)
 
 
 def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> None:
