@@ -11,7 +11,14 @@ from omegaconf import MISSING
 
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
-from cophy.model_config import CoPhyNetConfig, CopyBConfig, CopyCConfig, DerendererConfig, InteractionNetworkConfig
+from cophy.model_config import (
+    CoPhyNetConfig,
+    CopyBConfig,
+    CopyCConfig,
+    DerendererConfig,
+    InteractionNetworkConfig,
+    OracleConfig,
+)
 from cophy.scenario import Balls, Blocktower, Collision
 from cophy.scenario.rendering import RenderSettings
 from cophy.training.settings import Training
@@ -190,6 +197,7 @@ def register() -> None:
             "cophynet": CoPhyNetConfig,
             "interaction_network": InteractionNetworkConfig,
             "derenderer": DerendererConfig,
+            "oracle": OracleConfig,
             "copy_c": CopyCConfig,
             "copy_b": CopyBConfig,
         },

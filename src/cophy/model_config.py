@@ -70,6 +70,22 @@ class DerendererConfig:
 
 
 @dataclass
+class OracleConfig:
+    """cophy.models.oracles.Oracle, which explains its arguments."""
+
+    _target_: str = "cophy.models.oracles.Oracle"
+    oracle: str = MISSING
+    draws: int = MISSING
+    noise: float = MISSING
+
+    def __post_init__(self) -> None:
+        if self.oracle not in ("feedforward", "counterfactual"):
+            raise ValueError(f"model.oracle={self.oracle} is neither feedforward nor counterfactual")
+        if self.draws < 1 or self.noise <= 0:
+            raise ValueError("model: draws must be at least 1 and noise positive")
+
+
+@dataclass
 class CopyCConfig:
     """Nothing to configure."""
 

@@ -29,6 +29,7 @@ class Batch(NamedTuple):
     target_initial: (B, K, 3) true positions in C. target_presence: (B, K) objects truly in CD. `observed`, `initial` and
         their presence are what a de-renderer found, where predictors see its estimates.
     stable: (B, T-1, K) the same as observed_stable for D.
+    oracle_position, oracle_stable: (B, T-1, K, 3) and (B, T-1, K), what an oracle says of D; None for all other models.
     """
 
     observed: Tensor
@@ -42,6 +43,8 @@ class Batch(NamedTuple):
     target_initial: Tensor
     target_presence: Tensor
     stable: Tensor
+    oracle_position: Tensor | None = None
+    oracle_stable: Tensor | None = None
 
 
 class Prediction(NamedTuple):

@@ -22,7 +22,7 @@ class CounterfactualDataset(Dataset[Batch]):
 
     def __getitem__(self, indices: list[int]) -> Batch:
         rows = torch.as_tensor(indices)
-        return Batch(*(tensor[rows] for tensor in self.batch))
+        return Batch(*(None if tensor is None else tensor[rows] for tensor in self.batch))
 
     def loader(self, batch_size: int, *, shuffle: bool) -> DataLoader[Batch]:
         """Batches of up to `batch_size` experiments, sliced at once: no worker processes are worth their cost."""
@@ -36,7 +36,8 @@ def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
     positions = torch.from_numpy(arrays["states"][:, :, ::stride, :, :3].copy())
     observed_presence, presence = torch.from_numpy(arrays["presence"]).unbind(1)
     observed_stable, stable = (
-        _stable(states, stride, scenario.task.stable_speed) for states in np.moveaxis(arrays["states"], 1, 0)
+        torch.from_numpy(stable_frames(states, stride, scenario.task.stable_speed))
+        for states in np.moveaxis(arrays["states"], 1, 0)
     )
     return Batch(
         observed=positions[:, 0],
@@ -78,8 +79,13 @@ def _seems_stable(position: Tensor, scenario: Scenario) -> Tensor:
 
 def select(arrays: dict[str, np.ndarray], part: Part, split: str) -> dict[str, np.ndarray]:
     """The experiments of a part that belong to a split (train, val or test)."""
-    rows = part.select(arrays) & (arrays["split"] == SPLITS.index(split))
+    rows = selected(arrays, part, split)
     return {name: array[rows] for name, array in arrays.items()}
+
+
+def selected(arrays: dict[str, np.ndarray], part: Part, split: str) -> np.ndarray:
+    """(experiment,) bool: those of a part that belong to a split."""
+    return part.select(arrays) & (arrays["split"] == SPLITS.index(split))
 
 
 def confounder_statistics(train: Batch) -> tuple[Tensor, Tensor]:
@@ -129,9 +135,9 @@ def _axis(quaternion_xyzw: np.ndarray, shape: np.ndarray) -> np.ndarray:
     return np.where(shape == Shape.CYLINDER, unsigned, np.where(shape == Shape.BOX, along_x, 0.0))
 
 
-def _stable(states: np.ndarray, stride: int, stable_speed: float) -> Tensor:
+def stable_frames(states: np.ndarray, stride: int, stable_speed: float) -> np.ndarray:
     """(experiment, frame 1 ... T-1, slot): slow at every state after the frame before, up to and with this frame."""
     slow = np.linalg.norm(states[..., 7:10], axis=-1) < stable_speed
     num_frames = slow.shape[1] // stride
     after_first = slow[:, 1 : (num_frames - 1) * stride + 1]
-    return torch.from_numpy(after_first.reshape(len(slow), num_frames - 1, stride, -1).all(axis=2))
+    return np.asarray(after_first.reshape(len(slow), num_frames - 1, stride, -1).all(axis=2))

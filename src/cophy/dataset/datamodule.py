@@ -6,6 +6,7 @@ from typing import Any
 
 import lightning as L
 import numpy as np
+import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
@@ -14,12 +15,14 @@ from cophy.dataset.counterfactual import (
     CounterfactualDataset,
     confounder_statistics,
     select,
+    selected,
     standardise,
     to_batch,
     with_estimates,
 )
 from cophy.dataset.estimates import Estimates, Sees
 from cophy.dataset.images import Images
+from cophy.dataset.oracles import OracleForecasts, OracleSettings
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import States
@@ -32,7 +35,7 @@ class CounterfactualDataModule(L.LightningDataModule):
     """Trains and validates on one part of the data, tests on another (or the same); see conf/split/.
 
     derenderer: whose estimates of AB and C are seen instead of the true positions, or None. estimated: the splits of
-    which only the estimates are seen.
+    which only the estimates are seen. oracle: name and settings of the one whose forecasts come with the test split, or None.
     """
 
     def __init__(
@@ -47,11 +50,12 @@ class CounterfactualDataModule(L.LightningDataModule):
         workers: int,
         derenderer: Sees | None = None,
         estimated: tuple[str, ...] = (),
+        oracle: tuple[str, OracleSettings] | None = None,
     ) -> None:
         super().__init__()
         split.check_scenario(scenario)
         self.scenario, self.split, self.data_dir = scenario, split, data_dir
-        self.derenderer, self.estimated = derenderer, estimated
+        self.derenderer, self.estimated, self.oracle = derenderer, estimated, oracle
         self.batch_size, self.workers = batch_size, workers
         self.train_spec = DatasetSpec(scenario, split.train.num_objects, size, seed)
         self.test_spec = DatasetSpec(scenario, split.test.num_objects, size, seed)
@@ -81,6 +85,8 @@ class CounterfactualDataModule(L.LightningDataModule):
             if estimates and not estimates.is_finished():
                 generation.ensure(estimates.images, workers=self.workers)
                 generation.ensure(estimates, workers=self.workers)
+        if forecasts := self._forecasts():
+            generation.ensure(forecasts, workers=self.workers)
 
     def setup(self, stage: str | None = None) -> None:
         """Load all splits; confounders are standardised over the training one."""
@@ -94,6 +100,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         seen = {split: standardise(batch, statistics) for split, batch in batches.items()}
         for split in self.estimated:
             seen[split] = with_estimates(seen[split], chosen[split], self.scenario)
+        seen["test"] = seen["test"]._replace(**self._forecast(arrays[self.test_spec.id]))
         self.train, self.val, self.test = (CounterfactualDataset(seen[split]) for split in SPLITS)
 
     def train_dataloader(self) -> DataLoader[Batch]:
@@ -120,6 +127,20 @@ class CounterfactualDataModule(L.LightningDataModule):
         if self.derenderer is None or spec.id not in {self._spec_of(split).id for split in self.estimated}:
             return None
         return Estimates(Images(States(spec, self.data_dir), self.derenderer.render), self.derenderer)
+
+    def _forecasts(self) -> OracleForecasts | None:
+        return OracleForecasts(States(self.test_spec, self.data_dir), self.oracle[1]) if self.oracle else None
+
+    def _forecast(self, arrays: dict[str, np.ndarray]) -> dict[str, Tensor]:
+        """The oracle's fields of the test batch."""
+        if (forecasts := self._forecasts()) is None or self.oracle is None:
+            return {}
+        stored, tested = forecasts.load(), selected(arrays, self.split.test, "test")
+        rows = np.searchsorted(stored["experiment"], np.flatnonzero(tested))
+        return {
+            f"oracle_{what}": torch.from_numpy(stored[f"{self.oracle[0]}_{what}"][rows])
+            for what in ("position", "stable")
+        }
 
     def _load(self, spec: DatasetSpec) -> dict[str, np.ndarray]:
         estimates = self._estimates(spec)

@@ -11,8 +11,8 @@ def pack(batch: Batch) -> tuple[Batch, Tensor]:
     used = batch.observed_presence | batch.presence
     width = int(used.sum(dim=1).max())
     slots = used.float().argsort(dim=1, descending=True, stable=True)[:, :width]
-    packed = {name: _gather(tensor, slots, dim=_SLOT_AXIS[name]) for name, tensor in batch._asdict().items()}
-    return Batch(**packed), slots
+    packed = {name: _gather(getattr(batch, name), slots, dim=axis) for name, axis in _SLOT_AXIS.items()}
+    return batch._replace(**packed), slots
 
 
 def unpack(prediction: Prediction, slots: Tensor, num_slots: int) -> Prediction:

@@ -67,6 +67,10 @@ class Balls(SimulatedSearch):
         bodies = (floor(), *self.walls(), *balls)
         return Scene(bodies, gravity=(0.0, 0.0, self.gravity_z))
 
+    def launch(self, scene: Scene, rng: np.random.Generator) -> np.ndarray:
+        count = len(scene.objects)
+        return np.asarray(rng.uniform(self.speed[0], self.speed[1], count)[:, None] * _directions(count, rng))
+
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
         balls = scene.objects
         if kind == "remove":

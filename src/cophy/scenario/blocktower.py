@@ -5,8 +5,9 @@ masses and gravity, whether A and C stand. The search looks for geometries whose
 prescribed configurations fill their cells, and only then simulates the four sequences that are kept anyway.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from cophy.scenario.scene import Body, Scene, Shape, Trajectory, trajectory_dist
 from cophy.scenario.stability import tower_margins
 from cophy.scenario.surroundings import floor
 from cophy.scenario.symmetry import square
+from cophy.scenario.tower_prior import tower_prior
 
 # how hard a search tries; other values find other experiments, so raise dataset.spec.FORMAT_VERSION with them
 TOWERS_PER_BATCH = 1024
@@ -28,8 +30,34 @@ BATCHES_PER_CONFIGURATION = 40
 
 Configurations = tuple[np.ndarray, np.ndarray]  # masses (configuration, level) kg; tilt of gravity (configuration, 2)
 
+
+class Towers(NamedTuple):
+    """Geometries. xy: (tower, level, 2) block centres, m; yaw: (tower, level), rad; levels from the ground up."""
+
+    xy: np.ndarray
+    yaw: np.ndarray
+
+    def take(self, index: np.ndarray) -> "Towers":
+        """Some of them."""
+        return Towers(self.xy[index], self.yaw[index])
+
+
+class Proposals(NamedTuple):
+    """Towers A and C. stands: (proposal, 2, combination) bool, of A and C under `combinations`; what is displaced: level, offset (m)."""
+
+    towers: tuple[Towers, Towers]
+    stands: np.ndarray
+    level: np.ndarray
+    offset: np.ndarray
+
+
 # (A stands, C stands) of the first twin; the second has the opposite outcome in both
 CELLS = ((True, True), (False, False), (True, False), (False, True))
+
+
+def outcome_kind(cell: tuple[bool, bool]) -> int:
+    """Which column of `Blocktower.agreement` counts for a cell: 0 where A and C do the same, 1 where they differ."""
+    return int(cell[0] != cell[1])
 
 
 @dataclass
@@ -91,6 +119,26 @@ class Blocktower(Scenario):
         moved = np.linalg.norm(trajectory.positions - trajectory.positions[0], axis=-1)
         return bool(moved.max() < self.fallen_distance)
 
+    def redraw(
+        self, scene: Scene, do_operation: DoOperation, draws: int, rng: np.random.Generator, simulator: Simulator
+    ) -> list[Trajectory]:
+        prior = self.prior(scene, do_operation)
+        drawn, counts = np.unique(rng.choice(len(prior), draws, p=prior), return_counts=True)
+        found = [self.simulate(simulator, do_operation.apply(self.under(int(c), scene))) for c in drawn]
+        return [trajectory for trajectory, count in zip(found, counts, strict=True) for _ in range(count)]
+
+    def prior(self, scene: Scene, do_operation: DoOperation) -> np.ndarray:
+        """(configuration,) as the search has it, see `tower_prior`."""
+        num_levels = len(scene.objects)
+        towers = (_geometry(scene), _geometry(do_operation.apply(scene)))
+        probability = tower_prior(self, self._kind(do_operation), num_levels)(towers)[0]
+        return self.confounders.spread(probability, num_levels)
+
+    def _kind(self, do_operation: DoOperation) -> str:
+        if isinstance(do_operation, Remove):
+            return "remove_top"
+        return "displace_x" if do_operation.offset_m[0] else "displace_y"
+
     def _proposals(
         self,
         pair: tuple[Confounders, Confounders],
@@ -101,42 +149,74 @@ class Blocktower(Scenario):
     ) -> Iterator[tuple[Scene, DoOperation]]:
         """Scenes A and do-operations that fill the cell for the first twin and its opposite for the second."""
         twins = (np.array([c.mass for c in pair]), np.array([c.gravity_xy for c in pair]) / -self.gravity_z)
-        mass, gravity_xy = self.confounders.masses_and_gravities(len(slots))
-        everything = (mass, gravity_xy / -self.gravity_z)
-        removes = kind == "remove_top"
-        # the cheaper tower is drawn first: A, or the C that a top block is put on to make A
-        drawn_stands, varied_stands = reversed(cell) if removes else cell
-        for _ in range(BATCHES_PER_CONFIGURATION):
-            xy, yaw = self._towers(len(slots) - removes, rng)
-            fits = self._fills(xy, yaw, twins, first_stands=drawn_stands)
-            xy, yaw = xy[fits], yaw[fits]
-            drawn = self._stands(xy, yaw, everything)
-            fits = self._is_open(drawn)
-            xy, yaw, drawn = xy[fits], yaw[fits], drawn[fits]
-            level, offset, source = self._variants(kind, len(xy), len(slots), rng)
-            if removes:
-                top_yaw = rng.uniform(0.0, np.pi / 2, (len(source), 1))
-                varied_xy = np.concatenate([xy[source], xy[source, -1:] + offset[:, None]], axis=1)
-                varied_yaw = np.concatenate([yaw[source], top_yaw], axis=1)
-            else:
-                varied_xy, varied_yaw = xy[source], yaw[source]
-                varied_xy[np.arange(len(source)), level] += offset
-            fits = np.flatnonzero(self._fills(varied_xy, varied_yaw, twins, first_stands=varied_stands))
-            varied = self._stands(varied_xy[fits], varied_yaw[fits], everything)
-            fits, varied = fits[self._is_open(varied)], varied[self._is_open(varied)]
-            observed, counterfactual = (varied, drawn[source[fits]]) if removes else (drawn[source[fits]], varied)
-            for index in fits[self._agreement(observed, counterfactual, cell) >= self.min_agreement]:
-                if removes:
-                    yield self._scene(varied_xy[index], varied_yaw[index], slots), Remove(slots[-1])
-                else:
-                    x, y = offset[index]
-                    scene = self._scene(xy[source[index]], yaw[source[index]], slots)
-                    yield scene, Displace(slots[level[index]], (float(x), float(y), 0.0))
 
-    def _towers(self, num_levels: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        def fills(towers: Towers, sequence: int) -> np.ndarray:
+            margins = self.margins(towers, twins) * np.where([cell[sequence], not cell[sequence]], 1.0, -1.0)
+            return np.asarray((margins >= self.min_margin).all(axis=1))
+
+        for _ in range(BATCHES_PER_CONFIGURATION):
+            found = self.proposals(kind, len(slots), rng, fills)
+            for index in np.flatnonzero(self.agreement(found.stands)[:, outcome_kind(cell)] >= self.min_agreement):
+                scene = self._scene(found.towers[0].xy[index], found.towers[0].yaw[index], slots)
+                if kind == "remove_top":
+                    yield scene, Remove(slots[-1])
+                else:
+                    x, y = found.offset[index]
+                    yield scene, Displace(slots[found.level[index]], (float(x), float(y), 0.0))
+
+    def proposals(
+        self,
+        kind: str,
+        num_levels: int,
+        rng: np.random.Generator,
+        keep: Callable[[Towers, int], np.ndarray] = lambda towers, sequence: np.ones(len(towers.xy), dtype=bool),
+    ) -> "Proposals":
+        """A batch of random towers A and do-operations whose outcomes are open, and that `keep` keeps as AB (0) and CD (1)."""
+        everything = self.combinations(num_levels)
+        removes = kind == "remove_top"  # then the cheaper tower is C, and a top block is put on it to make A
+        drawn = self._towers(num_levels - removes, rng)
+        drawn = drawn.take(keep(drawn, int(removes)))
+        drawn_stands = self.margins(drawn, everything) > 0
+        fits = self._is_open(drawn_stands)
+        drawn, drawn_stands = drawn.take(fits), drawn_stands[fits]
+        level, offset, source = self._variants(kind, len(drawn.xy), num_levels, rng)
+        varied = drawn.take(source)
+        if removes:
+            top_yaw = rng.uniform(0.0, np.pi / 2, (len(source), 1))
+            top = varied.xy[:, -1:] + offset[:, None]
+            varied = Towers(np.concatenate([varied.xy, top], axis=1), np.concatenate([varied.yaw, top_yaw], axis=1))
+        else:
+            varied.xy[np.arange(len(source)), level] += offset
+        fits = np.flatnonzero(keep(varied, int(not removes)))
+        stands = self.margins(varied.take(fits), everything) > 0
+        fits, stands = fits[self._is_open(stands)], stands[self._is_open(stands)]
+        both = (varied.take(fits), drawn.take(source[fits])), (stands, drawn_stands[source[fits]])
+        towers, outcomes = both if removes else (both[0][::-1], both[1][::-1])
+        return Proposals(towers, np.stack(outcomes, axis=1), level[fits], offset[fits])
+
+    def combinations(self, num_levels: int) -> Configurations:
+        """Every combination of masses and gravity."""
+        mass, gravity_xy = self.confounders.masses_and_gravities(num_levels)
+        return mass, gravity_xy / -self.gravity_z
+
+    def margins(self, towers: Towers, configurations: Configurations) -> np.ndarray:
+        """(tower, configuration) metres, see `tower_margins`; of towers that lost their top, the masses of what is left count."""
+        mass, tilt = configurations
+        return tower_margins(*towers, mass[:, : towers.xy.shape[1]], tilt, size_m=self.block_size)
+
+    def agreement(self, stands: np.ndarray) -> np.ndarray:
+        """Of the combinations under which A stands, the share under which C stands, and the share under which it falls.
+
+        stands: (geometry, 2, combination), of A and C. Returns (geometry, 2).
+        """
+        observed, counterfactual = stands[:, 0], stands[:, 1]
+        share = (observed & counterfactual).sum(axis=1) / observed.sum(axis=1)
+        return np.stack([share, 1 - share], axis=1)
+
+    def _towers(self, num_levels: int, rng: np.random.Generator) -> Towers:
         offset = self._level_offsets((TOWERS_PER_BATCH, num_levels), rng)
         offset[:, 0] = 0.0
-        return np.cumsum(offset, axis=1), rng.uniform(0.0, np.pi / 2, (TOWERS_PER_BATCH, num_levels))
+        return Towers(np.cumsum(offset, axis=1), rng.uniform(0.0, np.pi / 2, (TOWERS_PER_BATCH, num_levels)))
 
     def _level_offsets(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
         return rng.uniform(-self.max_level_offset, self.max_level_offset, (*shape, 2))
@@ -153,22 +233,6 @@ class Blocktower(Scenario):
         )
         axis = np.array([0.0, 1.0] if kind == "displace_y" else [1.0, 0.0])
         return rng.integers(num_levels, size=len(source)), distance[:, None] * axis, source
-
-    def _margins(self, xy: np.ndarray, yaw: np.ndarray, configurations: Configurations) -> np.ndarray:
-        mass, tilt = configurations
-        return tower_margins(xy, yaw, mass[:, : xy.shape[1]], tilt, size_m=self.block_size)
-
-    def _stands(self, xy: np.ndarray, yaw: np.ndarray, configurations: Configurations) -> np.ndarray:
-        return self._margins(xy, yaw, configurations) > 0
-
-    def _fills(self, xy: np.ndarray, yaw: np.ndarray, twins: Configurations, *, first_stands: bool) -> np.ndarray:
-        margins = self._margins(xy, yaw, twins) * np.where([first_stands, not first_stands], 1.0, -1.0)
-        return np.asarray((margins >= self.min_margin).all(axis=1))
-
-    def _agreement(self, observed: np.ndarray, counterfactual: np.ndarray, cell: tuple[bool, bool]) -> np.ndarray:
-        """Share of the configurations under which A stands that share the CD of the twin whose A stands."""
-        outcome = cell[1] if cell[0] else not cell[1]
-        return (observed & (counterfactual == outcome)).sum(axis=1) / observed.sum(axis=1)
 
     def _is_open(self, stands: np.ndarray) -> np.ndarray:
         smallest, largest = self.stable_fraction
@@ -195,6 +259,12 @@ def _separable(first: Confounders, second: Confounders, *, num_levels: int) -> b
     upper = [np.array(confounders.mass[1:num_levels]) for confounders in (first, second)]
     ratios = [mass / mass[0] for mass in upper]
     return first.gravity_xy != second.gravity_xy or not np.allclose(*ratios)
+
+
+def _geometry(scene: Scene) -> Towers:
+    blocks = scene.objects
+    yaw = [2 * np.arctan2(block.quaternion_xyzw[2], block.quaternion_xyzw[3]) for block in blocks]
+    return Towers(np.array([[block.position[:2] for block in blocks]]), np.array([yaw]))
 
 
 def _word(stands: bool) -> str:

@@ -67,6 +67,20 @@ class Collision(SimulatedSearch):
         )
         return Scene((floor(), *bodies), gravity=(0.0, 0.0, self.gravity_z))
 
+    def launch(self, scene: Scene, rng: np.random.Generator) -> np.ndarray:
+        """A sphere is aimed anew; a cylinder shows by its axis where it is headed, up to the skew."""
+        moving, static = scene.objects
+        between = np.array(static.position[:2]) - moving.position[:2]
+        if moving.shape is Shape.CYLINDER:
+            across = 2 * np.arctan2(moving.quaternion_xyzw[2], moving.quaternion_xyzw[3])
+            angle = across - rng.uniform(-self.max_skew, self.max_skew)
+        else:
+            left = np.array([-between[1], between[0]]) / np.linalg.norm(between)
+            aim = between + rng.uniform(-self.max_aim_offset, self.max_aim_offset) * left
+            angle = np.arctan2(aim[1], aim[0])
+        direction = np.array([np.cos(angle), np.sin(angle)])
+        return np.stack([rng.uniform(self.speed[0], self.speed[1]) * direction, np.zeros(2)])
+
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
         moving, static = scene.objects
         body, other = (moving, static) if kind == "displace_moving" else (static, moving)

@@ -59,6 +59,26 @@ class ConfounderGrid:
         mass, friction, restitution = (tuple(values[k * num_objects : (k + 1) * num_objects]) for k in range(3))
         return Confounders(mass, friction, restitution, gravity_xy=(values[-2], values[-1]))
 
+    def neighbours(self, configuration: int, num_objects: int) -> list[int]:
+        """The configurations that differ from one in a single value."""
+        shape = [len(axis) for axis in self._axes(num_objects)]
+        indices = np.array(np.unravel_index(configuration, shape))
+        found = []
+        for axis, size in enumerate(shape):
+            for value in range(size):
+                if value != indices[axis]:
+                    changed = indices.copy()
+                    changed[axis] = value
+                    found.append(int(np.ravel_multi_index(tuple(changed), shape)))
+        return found
+
+    def spread(self, probability: np.ndarray, num_objects: int) -> np.ndarray:
+        """From (combination,) probabilities of `masses_and_gravities` to (configuration,), the other confounders level."""
+        masses, gravities = len(self.mass) ** num_objects, len(self.gravity_x) * len(self.gravity_y)
+        others = (len(self.friction) * len(self.restitution)) ** num_objects
+        table = np.broadcast_to(probability.reshape(masses, 1, gravities), (masses, others, gravities))
+        return table.reshape(-1) / others
+
     def masses_and_gravities(self, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
         """Every combination of masses and horizontal gravity: (configuration, object) kg, (configuration, 2) m/s²."""
         combinations = list(itertools.product(*[self.mass] * num_objects, self.gravity_x, self.gravity_y))

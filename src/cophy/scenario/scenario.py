@@ -1,6 +1,7 @@
 """What the three scenarios share: the fields of conf/scenario/*.yaml and the frame of a twin pair."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,6 +95,23 @@ class Scenario(ABC):
         self, assignment: Assignment, slots: tuple[int, ...], rng: np.random.Generator, simulator: Simulator
     ) -> "TwinPair":
         """Find a scene, a do-operation and a second configuration that fill the assignment, and simulate them."""
+
+    @abstractmethod
+    def redraw(
+        self, scene: Scene, do_operation: DoOperation, draws: int, rng: np.random.Generator, simulator: Simulator
+    ) -> list[Trajectory]:
+        """CD of `draws` experiments as the search could have made them of this A (at rest) and do-operation."""
+
+    def prior(self, scene: Scene, do_operation: DoOperation) -> np.ndarray:
+        """(configuration,) probability of each in the data, given A, C and the do-operation. By default all are as likely."""
+        count = self.confounders.num_configurations(len(scene.objects))
+        return np.full(count, 1 / count)
+
+    def launcher(
+        self, scene: Scene, observed: np.ndarray, rng: np.random.Generator, simulator: Simulator
+    ) -> Callable[[Scene], Scene]:
+        """From A at rest (under any confounders) to A as it was launched, inferred from AB's (T, K, 3) frames. By default at rest."""
+        return lambda scene: scene
 
     def twin_pair(
         self, num_objects: int, *, seed: int, pair: int, simulator: Simulator

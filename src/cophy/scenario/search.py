@@ -5,6 +5,7 @@ one that does is kept, and do-operations are tried on it until the counterfactua
 """
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from cophy.errors import CophyError
 from cophy.scenario.assignment import Assignment
 from cophy.scenario.do_operations import DoOperation
+from cophy.scenario.launch import VelocityFit, with_velocities
 from cophy.scenario.physics import Simulator
 from cophy.scenario.scenario import Scenario, TwinPair
 from cophy.scenario.scene import Scene, Trajectory, trajectory_distance
@@ -19,6 +21,7 @@ from cophy.scenario.scene import Scene, Trajectory, trajectory_distance
 # how hard a search tries; other values find other experiments, so raise dataset.spec.FORMAT_VERSION with them
 SCENES_PER_CONFIGURATION = 30
 DO_OPERATIONS_PER_SCENE = 3
+MOST_TRIES = 200  # per draw, when a scene is launched again
 
 
 @dataclass
@@ -37,6 +40,31 @@ class SimulatedSearch(Scenario):
     @abstractmethod
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
         """A random do-operation of this kind that the scene allows."""
+
+    @abstractmethod
+    def launch(self, scene: Scene, rng: np.random.Generator) -> np.ndarray:
+        """(object, 2) horizontal initial velocities, m/s, as `sample_scene` would draw them for objects that lie so."""
+
+    def redraw(
+        self, scene: Scene, do_operation: DoOperation, draws: int, rng: np.random.Generator, simulator: Simulator
+    ) -> list[Trajectory]:
+        """CD of twins found as `search` does, with A and the do-operation held."""
+        count, found = self.confounders.num_configurations(len(scene.objects)), list[Trajectory]()
+        for _ in range(MOST_TRIES * draws):
+            if len(found) >= draws:
+                return found[:draws]
+            launched = with_velocities(scene, self.launch(scene, rng))
+            scenes = [self.under(int(c), launched) for c in rng.choice(count, 2, replace=False)]
+            if self._different_outcomes(scenes, simulator) is not None:
+                found += self._different_outcomes([do_operation.apply(a) for a in scenes], simulator) or ()
+        raise CophyError(f"no {self.name} twins but its own fit this scene: it was not made with this configuration")
+
+    def launcher(
+        self, scene: Scene, observed: np.ndarray, rng: np.random.Generator, simulator: Simulator
+    ) -> Callable[[Scene], Scene]:
+        return VelocityFit(
+            observed, lambda: self.launch(scene, rng), solver=self.solver, clock=self.clock, simulator=simulator
+        )
 
     def search(
         self, assignment: Assignment, slots: tuple[int, ...], rng: np.random.Generator, simulator: Simulator

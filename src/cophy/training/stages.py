@@ -12,9 +12,11 @@ from torch import nn
 from cophy.config import TrainConfig
 from cophy.dataset.datamodule import CounterfactualDataModule
 from cophy.dataset.frames import FrameDataModule
+from cophy.dataset.oracles import OracleSettings
 from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
+from cophy.models.oracles import Oracle
 from cophy.training.augmentation import symmetries_for
 from cophy.training.callbacks import DerenderingFigures, PredictionFigures
 from cophy.training.derenderers import TrainedDerenderer, find
@@ -96,6 +98,9 @@ def _prediction(network: nn.Module, settings: TrainConfig, row: Row, resolved: d
         raise CophyError(
             f"positions={settings.positions} does not go with training.confounder_weight: confounders are of true objects"
         )
+    oracle = (network.oracle, OracleSettings(network.draws, network.noise)) if isinstance(network, Oracle) else None
+    if oracle and settings.positions != "ground_truth":
+        raise CophyError(f"positions={settings.positions}: oracles simulate, from true positions only")
     derenderer = derenderer_for(settings, row) if ESTIMATED[settings.positions] else None
     data = CounterfactualDataModule(
         scenario=settings.scenario,
@@ -107,6 +112,7 @@ def _prediction(network: nn.Module, settings: TrainConfig, row: Row, resolved: d
         workers=settings.workers,
         derenderer=derenderer,
         estimated=ESTIMATED[settings.positions],
+        oracle=oracle,
     )
     turns = symmetries_for(settings.split.train, settings.scenario)
     symmetries = turns if settings.training.augmentation else turns[:1]
