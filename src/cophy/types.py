@@ -1,6 +1,7 @@
 """What passes between data and models. Axes: B batch, T frames (5 Hz), K colour slots, F features; metres, z up."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 from torch import Tensor
 
@@ -58,3 +59,12 @@ class Prediction(NamedTuple):
     position: Tensor
     stable_logit: Tensor | None = None
     confounder_estimate: Tensor | None = None
+
+
+TensorTuple = TypeVar("TensorTuple", Batch, Prediction)
+
+
+def map_fields(function: Callable[..., Tensor], *tuples: TensorTuple) -> TensorTuple:
+    """The named tuple whose fields are `function` of the fields of the given ones; None stays None."""
+    fields: Any = (None if values[0] is None else function(*values) for values in zip(*tuples, strict=True))
+    return type(tuples[0])(*fields)

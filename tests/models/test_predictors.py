@@ -1,5 +1,7 @@
 """Predictors by property."""
 
+from operator import itemgetter
+
 import pytest
 import torch
 from omegaconf import OmegaConf
@@ -8,7 +10,7 @@ from torch import Tensor, nn
 from cophy.models.copying import CopyB, CopyC
 from cophy.training.losses import position_loss, stability_loss
 from cophy.training.run import build_network
-from cophy.types import Batch, Prediction
+from cophy.types import Batch, Prediction, map_fields
 from tests.conftest import composed
 
 ABLATIONS = ("full", "static_gating", "mlp", "single_step", "feedforward", "gt_confounders")
@@ -63,7 +65,7 @@ def test_an_mlp_over_slots_is_the_one_that_is_not_equivariant(tower_batch: Batch
 
 def test_absent_objects_change_nothing(any_network: nn.Module, tower_batch: Batch) -> None:
     absent_ab, absent_cd = ~tower_batch.observed_presence, ~tower_batch.presence
-    noise = Batch(*(torch.randn(tensor.shape) if tensor.is_floating_point() else tensor for tensor in tower_batch))
+    noise = map_fields(lambda t: torch.randn(t.shape) if t.is_floating_point() else t, tower_batch)
     noisy = tower_batch._replace(
         observed=torch.where(absent_ab[:, None, :, None], noise.observed, tower_batch.observed),
         initial=torch.where(absent_cd[..., None], noise.initial, tower_batch.initial),
@@ -74,7 +76,7 @@ def test_absent_objects_change_nothing(any_network: nn.Module, tower_batch: Batc
 
 
 def test_an_experiment_does_not_depend_on_its_batch(any_network: nn.Module, tower_batch: Batch) -> None:
-    alone = Batch(*(tensor[5:6] for tensor in tower_batch))
+    alone = map_fields(itemgetter(slice(5, 6)), tower_batch)
     torch.testing.assert_close(
         present(any_network(alone), alone), present(any_network(tower_batch), tower_batch)[5:6], atol=1e-5, rtol=1e-4
     )
@@ -145,7 +147,7 @@ def test_copies_copy(tower_batch: Batch) -> None:
 
 
 def test_cophynet_overfits_one_batch(tower_batch: Batch) -> None:
-    network, batch = build("full"), Batch(*(tensor[:8] for tensor in tower_batch))
+    network, batch = build("full"), map_fields(itemgetter(slice(8)), tower_batch)
     optimizer = torch.optim.Adam(network.parameters(), lr=0.001)
     for _ in range(400):
         loss = position_loss(network(batch), batch)

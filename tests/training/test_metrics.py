@@ -1,12 +1,14 @@
 """Metrics against values worked out by hand."""
 
+from operator import itemgetter
+
 import pytest
 import torch
 
 from cophy.scenario import Camera, Task
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
 from cophy.training.metrics import collection, pixel_measures, position_measures, stability_measures
-from cophy.types import Batch, Prediction
+from cophy.types import Batch, Prediction, map_fields
 
 INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])
 
@@ -110,7 +112,7 @@ def test_every_experiment_counts_once_whatever_its_batch() -> None:
     whole, split = position_metrics(3), position_metrics(3)
     whole.update(prediction(), batch())
     for row in (slice(0, 1), slice(1, 2)):
-        split.update(Prediction(prediction().position[row]), Batch(*(tensor[row] for tensor in batch())))
+        split.update(Prediction(prediction().position[row]), map_fields(itemgetter(row), batch()))
     assert whole.compute() == split.compute()
 
 

@@ -1,5 +1,7 @@
 """Arrays on disk -> tensors in memory, batched by slicing."""
 
+from operator import itemgetter
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -8,7 +10,7 @@ from torch.utils.data import BatchSampler, DataLoader, Dataset, RandomSampler, S
 from cophy.dataset.splits import SPLITS, Part
 from cophy.scenario import Scenario, Shape
 from cophy.scenario.confounders import ConfounderGrid
-from cophy.types import HORIZONTAL, Batch
+from cophy.types import HORIZONTAL, Batch, map_fields
 
 
 class CounterfactualDataset(Dataset[Batch]):
@@ -22,7 +24,7 @@ class CounterfactualDataset(Dataset[Batch]):
 
     def __getitem__(self, indices: list[int]) -> Batch:
         rows = torch.as_tensor(indices)
-        return Batch(*(None if tensor is None else tensor[rows] for tensor in self.batch))
+        return map_fields(itemgetter(rows), self.batch)
 
     def loader(self, batch_size: int, *, shuffle: bool) -> DataLoader[Batch]:
         """Batches of up to `batch_size` experiments, sliced at once: no worker processes are worth their cost."""

@@ -103,4 +103,5 @@ class VelocityFit:
         return self.simulator.launch(scene, velocity, frames=frames, solver=self.solver, frame_rate_hz=self.rate)
 
     def _seen(self, scene: Scene, frame: int) -> np.ndarray:
-        return np.asarray(self.observed[frame, [body.slot for body in scene.objects], :2])
+        slots = [body.slot for body in scene.objects if body.slot is not None]
+        return np.asarray(self.observed[frame, slots, :2])

@@ -1,6 +1,7 @@
 """What a training shows and says on its way."""
 
 import logging
+from operator import itemgetter
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from cophy.dataset.datamodule import CounterfactualDataModule
 from cophy.dataset.frames import FrameDataModule
 from cophy.training.clips import add_clip, mark
 from cophy.training.figures import draw_centres, draw_error_over_time, draw_trajectories, error_over_time
-from cophy.types import Batch
+from cophy.types import map_fields
 
 log = logging.getLogger(__name__)
 
@@ -36,9 +37,9 @@ class PredictionFigures(L.Callback):
         data, logger = trainer.datamodule, trainer.logger  # type: ignore[attr-defined]
         if not isinstance(data, CounterfactualDataModule) or not isinstance(logger, TensorBoardLogger):
             return
-        shown = Batch(*(tensor[:NUM_SHOWN] for tensor in data.val.batch))
+        shown = map_fields(itemgetter(slice(NUM_SHOWN)), data.val.batch)
         with torch.no_grad():
-            prediction = pl_module(Batch(*(tensor.to(pl_module.device) for tensor in shown)))
+            prediction = pl_module(map_fields(lambda tensor: tensor.to(pl_module.device), shown))
         initial, predicted, true, presence = (
             tensor.cpu().numpy()
             for tensor in (shown.target_initial, prediction.position, shown.target, shown.target_presence)

@@ -1,7 +1,6 @@
 """Stage 2: train and test a predictor of D."""
 
-from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import lightning as L
 import numpy as np
@@ -18,9 +17,7 @@ from cophy.training.losses import confounder_loss, position_loss, stability_loss
 from cophy.training.metrics import collection, position_measures, stability_measures
 from cophy.training.optimisation import adam_with_cosine
 from cophy.training.settings import Training
-from cophy.types import Batch, Prediction
-
-TensorTuple = TypeVar("TensorTuple", Batch, Prediction)
+from cophy.types import Batch, Prediction, map_fields
 
 
 class PredictionModule(L.LightningModule):
@@ -85,13 +82,13 @@ class PredictionModule(L.LightningModule):
         self._test_steps: list[tuple[Prediction, Batch]] = []
 
     def test_step(self, batch: Batch) -> None:
-        self._test_steps.append((_map(torch.Tensor.cpu, self(batch)), _map(torch.Tensor.cpu, batch)))
+        self._test_steps.append((map_fields(torch.Tensor.cpu, self(batch)), map_fields(torch.Tensor.cpu, batch)))
 
     def on_test_epoch_end(self) -> None:
         predictions, batches = zip(*self._test_steps, strict=True)
         self.tested = (
-            _map(lambda *parts: torch.cat(parts), *predictions),
-            _map(lambda *parts: torch.cat(parts), *batches),
+            map_fields(lambda *parts: torch.cat(parts), *predictions),
+            map_fields(lambda *parts: torch.cat(parts), *batches),
         )
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
@@ -155,9 +152,3 @@ def _check_shapes(prediction: Prediction, batch: Batch, network: nn.Module) -> N
             raise CophyError(
                 f"{name} returns {field} {tensor.dtype} of shape {tuple(tensor.shape)}, not floats of {choices}"
             )
-
-
-def _map(function: Callable[..., Tensor], *tuples: TensorTuple) -> TensorTuple:
-    """The named tuple whose fields are `function` of the fields of the given ones; None stays None."""
-    fields: Any = (None if values[0] is None else function(*values) for values in zip(*tuples, strict=True))
-    return type(tuples[0])(*fields)

@@ -1,5 +1,7 @@
 """What U says about mass and friction: linear classifiers on the frozen estimate (paper Table 5)."""
 
+from operator import itemgetter
+
 import numpy as np
 import torch
 from sklearn.linear_model import LogisticRegression
@@ -8,7 +10,7 @@ from sklearn.preprocessing import StandardScaler
 from torch import Tensor, nn
 
 from cophy.training.metrics import over_objects
-from cophy.types import Batch
+from cophy.types import Batch, map_fields
 
 MOST_VALUES = 1000  # more than any grid has of friction
 
@@ -18,7 +20,7 @@ def estimate(network: nn.Module, batch: Batch, *, batch_size: int) -> Tensor | N
     parts = []
     with torch.no_grad():
         for start in range(0, len(batch.initial), batch_size):
-            part = network.eval()(Batch(*(tensor[start : start + batch_size] for tensor in batch)))
+            part = network.eval()(map_fields(itemgetter(slice(start, start + batch_size)), batch))
             if part.confounder_estimate is None:
                 return None
             parts.append(part.confounder_estimate)
