@@ -45,6 +45,7 @@ def permuted(batch: Batch, order: list[int]) -> Batch:
         **{
             name: tensor.index_select(axes.get(name, 1), torch.tensor(order))
             for name, tensor in batch._asdict().items()
+            if tensor is not None
         }
     )
 
