@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from cophy.errors import CophyError
-from cophy.training.evaluation import evaluate, interval, mean
+from cophy.intervals import interval, mean
+from cophy.training.evaluation import evaluate
 from cophy.training.prediction import PredictionModule
 from cophy.training.probe import probe
 from cophy.training.run import build_network

@@ -115,7 +115,7 @@ def _confounders(arrays: dict[str, np.ndarray]) -> Tensor:
     gravity = np.broadcast_to(arrays["gravity"][:, None, :2], (*per_object.shape[:2], 2))
     initial = arrays["states"][:, 0, 0]
     shape = arrays["shape"][..., None]
-    features = [per_object, gravity, initial[..., 7:10], shape == Shape.CYLINDER, _axis(initial[..., 3:7], shape)]
+    features = [per_object, gravity, initial[..., 7:10], shape == Shape.CYLINDER, axis_of(initial[..., 3:7], shape)]
     return torch.from_numpy(np.concatenate(features, axis=-1, dtype=np.float32))
 
 
@@ -128,7 +128,7 @@ def _confounder_class(arrays: dict[str, np.ndarray], grid: ConfounderGrid) -> Te
     return torch.from_numpy(np.stack(nearest, axis=-1))
 
 
-def _axis(quaternion_xyzw: np.ndarray, shape: np.ndarray) -> np.ndarray:
+def axis_of(quaternion_xyzw: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """(experiment, slot, 3) direction of a cylinder's axis (its sign chosen so that x ≥ 0) or of a block's own x axis."""
     x, y, z, w = np.moveaxis(quaternion_xyzw, -1, 0)
     along_z = np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)], axis=-1)

@@ -1,4 +1,4 @@
-"""The page of an audit: every line, and the distributions behind it."""
+"""The page of an audit: every line, and what is behind it in pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from cophy.dataset.audit import Check
+from cophy.dataset.audit import Check, ProbeCheck
 from cophy.dataset.audit.shares import paths_per_value
 from cophy.dataset.spec import DatasetSpec
-from cophy.report.figures import draw_stability_distribution
+from cophy.report.figures import BLUE, GREY, RED, draw_stability_distribution
 
 
 def write_page(checks: Sequence[Check], arrays: dict[str, np.ndarray], spec: DatasetSpec, directory: Path) -> Path:
@@ -17,16 +17,43 @@ def write_page(checks: Sequence[Check], arrays: dict[str, np.ndarray], spec: Dat
     directory.mkdir(parents=True, exist_ok=True)
     failing = sum(not check.passed for check in checks)
     lines = [f"| {'ok' if check.passed else '**FAILS**'} | {check.name} | {check.found} |" for check in checks]
-    figure = outcomes(arrays, spec)
-    figure.savefig(directory / "outcomes.png", dpi=100)
+    pictures = {"Outcomes of CD for every value of the confounders": ("outcomes.png", outcomes(arrays, spec))}
+    if probes := [check for check in checks if isinstance(check, ProbeCheck)]:
+        pictures["What can be known of CD without the motion of AB"] = ("bias.png", draw_probes(probes))
+    for name, figure in pictures.values():
+        figure.savefig(directory / name, dpi=100)
     page = directory / "audit.md"
     page.write_text(
         f"# Audit of {spec.scenario.name}, {spec.id}\n\n{spec.num_experiments} experiments; "
         f"{failing or 'no'} of {len(checks)} lines fail.\n\n| | check | found |\n|---|---|---|\n"
         + "\n".join(lines)
-        + "\n\n![Outcomes of CD for every value of the confounders](outcomes.png)\n"
+        + "".join(f"\n\n![{title}]({name})" for title, (name, _) in pictures.items())
+        + "\n"
     )
     return page
+
+
+def draw_probes(probes: Sequence[ProbeCheck]) -> Figure:
+    """Share of guesses that are right, with its interval: above what chance gives (grey), below nothing to be learned."""
+    figure = Figure(figsize=(9, 0.9 + 0.38 * len(probes)), layout="constrained")
+    axis = figure.subplots()
+    at = -np.arange(len(probes), dtype=float)
+    accuracy, chance = (100 * np.array([getattr(probe, name) for probe in probes]) for name in ("accuracy", "chance"))
+    low, high = (100 * np.array([getattr(probe, name) for probe in probes]) for name in ("low", "high"))
+    axis.barh(at, chance, height=0.74, color=GREY, label="by chance")
+    colors = [BLUE if probe.passed else RED for probe in probes]
+    axis.barh(at, accuracy, height=0.4, color=colors, label="classifier, 95 % interval")
+    axis.errorbar(accuracy, at, xerr=(accuracy - low, high - accuracy), fmt="none", ecolor="black", capsize=3, lw=1)
+    axis.axvline(50, color="black", lw=0.8, ls="--")
+    for place, share, end in zip(at, accuracy, np.maximum(high, chance), strict=True):
+        axis.text(end + 1.5, place, f"{share:.1f} %", va="center", fontsize="small")
+    axis.set_yticks(at, [probe.name for probe in probes], fontsize="small")
+    axis.set_xlim(0, 108)
+    axis.set_xticks(range(0, 101, 10))
+    axis.set_xlabel("right guesses, %")
+    axis.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside upper right", ncols=2, frameon=False, fontsize="small")
+    return figure
 
 
 def outcomes(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> Figure:
@@ -40,7 +67,7 @@ def outcomes(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> Figure:
         figure.subplots(1, len(paths), sharey=True, squeeze=False)[0], paths.items(), strict=True
     ):
         for value, lengths in values.items():
-            axis.ecdf(lengths, label=f"{value:g}")
+            axis.ecdf(lengths[np.isfinite(lengths)], label=f"{value:g}")
         axis.set_title(name, fontsize="medium")
         axis.set_xlabel("mean distance from the start in CD, m", fontsize="small")
         axis.legend(frameon=False)

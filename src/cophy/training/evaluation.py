@@ -1,15 +1,12 @@
-"""A test in numbers: every measure per experiment, its mean, and a bootstrap interval."""
+"""A test in numbers: every measure per experiment."""
 
 import numpy as np
 import torch
-from scipy.stats import bootstrap
 
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.training.metrics import pixel_measures, position_measures, stability_measures
 from cophy.types import Batch, Prediction
-
-RESAMPLES = 2000
 
 
 def evaluate(prediction: Prediction, batch: Batch, scenario: Scenario) -> dict[str, np.ndarray]:
@@ -26,28 +23,3 @@ def evaluate(prediction: Prediction, batch: Batch, scenario: Scenario) -> dict[s
     if prediction.stable_logit is not None:
         measures |= stability_measures()
     return {name: measure(prediction, batch).double().numpy() for name, measure in measures.items()}
-
-
-def mean(values: np.ndarray) -> float:
-    """Mean over the experiments that count."""
-    return float(np.nanmean(values))
-
-
-def interval(values: np.ndarray, pairs: np.ndarray) -> tuple[float, float]:
-    """Bootstrap 95 % interval of the mean (percentiles; the same at every call). pairs: the twin pair that each value is of.
-
-    Twin pairs are resampled, not values: twins share A, C and the do-operation, and so much of their error.
-    """
-    counts = ~np.isnan(values)
-    _, group = np.unique(pairs[counts], return_inverse=True)
-    total, size = np.bincount(group, weights=values[counts]), np.bincount(group)
-    if len(size) < 2:
-        return mean(values), mean(values)
-    result = bootstrap(
-        (np.arange(len(size)),),
-        lambda rows, axis: total[rows].sum(axis=axis) / size[rows].sum(axis=axis),
-        n_resamples=RESAMPLES,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    )
-    return float(result.confidence_interval.low), float(result.confidence_interval.high)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cophy.files import write_atomically
-from cophy.training.evaluation import interval, mean
+from cophy.intervals import interval, mean
 from cophy.types import Batch, Prediction
 
 log = logging.getLogger(__name__)

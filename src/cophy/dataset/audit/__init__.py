@@ -2,7 +2,9 @@
 
 from collections.abc import Iterator
 
-from cophy.dataset.audit.check import Arrays, Check
+from cophy.dataset.audit.bias import bias
+from cophy.dataset.audit.check import Arrays, Check, ProbeCheck
+from cophy.dataset.audit.geometry import geometries
 from cophy.dataset.audit.shares import shares, trajectories
 from cophy.dataset.audit.simulation import simulation
 from cophy.dataset.audit.states import states
@@ -10,7 +12,7 @@ from cophy.dataset.audit.towers import towers
 from cophy.dataset.audit.twins import twins
 from cophy.dataset.spec import DatasetSpec
 
-__all__ = ["Check", "audit"]
+__all__ = ["Check", "ProbeCheck", "audit"]
 
 
 def audit(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -> Iterator[Check]:
@@ -20,11 +22,13 @@ def audit(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -> Iterator
     """
     yield from states(arrays, spec)
     yield from twins(arrays, spec)
+    yield from geometries(arrays, spec.num_objects)
     yield from shares(arrays, spec)
     if spec.scenario.name == "blocktower":
         yield from towers(arrays, spec)
     else:
         yield from trajectories(arrays, spec)
+    yield from bias(arrays, spec)
     yield from simulation(arrays, spec, replayed_pairs)
     simulations = arrays["pair_simulations"][::2].sum() / len(arrays["twin"])
     yield Check("simulations per experiment", f"{simulations:.2f}", True)

@@ -18,6 +18,16 @@ class Check:
     passed: bool
 
 
+@dataclass(frozen=True)
+class ProbeCheck(Check):
+    """What a classifier guesses: the share that is right, its bootstrap 95 % interval over twin pairs, and the share by chance."""
+
+    accuracy: float
+    low: float
+    high: float
+    chance: float
+
+
 def tolerance(share: float, draws: int) -> float:
     """BALANCE, or three standard deviations of a share among `draws` independent draws where that is more (tiny sets)."""
     return max(BALANCE, 3 * float(np.sqrt(share * (1 - share) / draws)))

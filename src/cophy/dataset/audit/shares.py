@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import ks_2samp
 
 from cophy.dataset.audit.check import Arrays, Check, tolerance
+from cophy.dataset.audit.outcomes import mean_distance
 from cophy.dataset.spec import DatasetSpec
 
 FURTHEST = 0.5  # ours: Kolmogorov-Smirnov; a heavy object flies less far than a light one, but no value settles how far
@@ -50,8 +51,7 @@ def paths_per_value(arrays: Arrays, spec: DatasetSpec) -> dict[str, dict[float, 
 
     Per object in the scenario's order where this has a meaning (collision: moving, static), else over all objects.
     """
-    position, presence = arrays["states"][:, 1, ..., :3], arrays["presence"][:, 1]
-    moved = np.linalg.norm(position - position[:, :1], axis=-1).mean(axis=1)
+    moved, presence = mean_distance(arrays)[:, 1], arrays["presence"][:, 1]
     places = [(f" of object {k}", arrays["object_index"] == k) for k in range(spec.num_objects)]
     return {
         name + place: {

@@ -5,27 +5,26 @@ from collections.abc import Iterator
 import numpy as np
 
 from cophy.dataset.audit.check import Arrays, Check, tolerance
+from cophy.dataset.audit.outcomes import stands
 from cophy.dataset.spec import DatasetSpec
 from cophy.scenario.stability import tower_margins
 
 
 def towers(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     """Labels against the trajectories, and stability of CD per value of each confounder (paper Fig. 3)."""
-    positions = arrays["states"][..., :3]
-    moved = np.linalg.norm(positions - positions[:, :, :1], axis=-1).max(axis=(2, 3))
-    stands = moved < spec.scenario.fallen_distance  # type: ignore[attr-defined]
-    words = np.where(stands, "stands", "falls")
+    standing = stands(arrays, spec.scenario.fallen_distance)  # type: ignore[attr-defined]
+    words = np.where(standing, "stands", "falls")
     right = (
         np.char.add(np.char.add(words[:, 0], "_"), words[:, 1]) == np.array(spec.scenario.strata())[arrays["stratum"]]
     )
     yield Check("labels agree with the trajectories", f"{right.mean():.1%}", bool(right.all()))
     yield _agreement(arrays, spec)
     for axis, name in enumerate(("gravity_x", "gravity_y")):
-        yield _stability(name, arrays["gravity"][:, axis], stands[:, 1])
+        yield _stability(name, arrays["gravity"][:, axis], standing[:, 1])
     for level in range(spec.num_objects):
         slot = arrays["object_index"] == level
         for name in ("mass", "friction"):
-            yield _stability(f"{name} of block {level}", arrays[name][slot], stands[:, 1])
+            yield _stability(f"{name} of block {level}", arrays[name][slot], standing[:, 1])
 
 
 def _agreement(arrays: Arrays, spec: DatasetSpec) -> Check:
@@ -56,7 +55,7 @@ def _agreement(arrays: Arrays, spec: DatasetSpec) -> Check:
     return Check("a standing AB speaks for the true CD", found, bool(shares.min() >= needed - 0.02))
 
 
-def _stability(name: str, values: np.ndarray, stands: np.ndarray) -> Check:
-    share = {float(value): float(stands[values == value].mean()) for value in np.unique(values)}
+def _stability(name: str, values: np.ndarray, standing: np.ndarray) -> Check:
+    share = {float(value): float(standing[values == value].mean()) for value in np.unique(values)}
     passed = all(abs(s - 0.5) <= tolerance(0.5, (values == value).sum()) for value, s in share.items())
     return Check(f"CD stands, per {name}", "  ".join(f"{value:g}: {s:.1%}" for value, s in share.items()), passed)
