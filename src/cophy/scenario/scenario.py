@@ -119,13 +119,7 @@ class Scenario(ABC):
         """The twin experiments 2·pair and 2·pair + 1: a pure function of (self, num_objects, seed, pair)."""
         if num_objects not in self.num_objects:
             raise CophyError(f"{self.name} has {self.num_objects} objects, not {num_objects}: see num_objects=")
-        assignment = assign(
-            pair,
-            seed=seed,
-            num_configurations=self.confounders.num_configurations(num_objects),
-            num_do_operations=len(self.do_operations),
-            num_cells=self.num_cells(),
-        )
+        assignment = self.assignment(num_objects, seed=seed, pair=pair)
         rng = np.random.default_rng((seed, num_objects, pair))  # no scene of K objects recurs among those of K + 1
         slots = tuple(int(slot) for slot in rng.permutation(self.num_slots)[:num_objects])
         background_seed = int(rng.integers(2**31))
@@ -150,6 +144,16 @@ class Scenario(ABC):
             )
         )
         return first, second
+
+    def assignment(self, num_objects: int, *, seed: int, pair: int) -> Assignment:
+        """What is prescribed for a twin pair, before anything is searched for."""
+        return assign(
+            pair,
+            seed=seed,
+            num_configurations=self.confounders.num_configurations(num_objects),
+            num_do_operations=len(self.do_operations),
+            num_cells=self.num_cells(),
+        )
 
     def simulate(self, simulator: Simulator, scene: Scene) -> Trajectory:
         """Simulate a scene with this scenario's solver and clock."""

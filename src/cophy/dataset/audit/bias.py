@@ -42,9 +42,11 @@ def _of_towers(arrays: Arrays, spec: DatasetSpec, fallen_distance: float) -> Ite
     yield probe("C tells whether CD stands", scene, standing[:, 1], twin)
     for level in range(spec.num_objects):
         block = (arrays["object_index"] == level) & arrays["presence"][:, 1]
-        rows, outcome = block.any(axis=1), stays[block]
-        base_rate = float(max(outcome.mean(), 1 - outcome.mean()))
-        yield probe(f"C tells whether block {level} stays", scene[rows], outcome, twin[rows], chance=base_rate)
+        rows = block.any(axis=1)
+        if len(np.unique(twin[rows])) >= FOLDS:
+            outcome = (stays & block).any(axis=1)[rows]
+            base_rate = float(max(outcome.mean(), 1 - outcome.mean()))
+            yield probe(f"C tells whether block {level} stays", scene[rows], outcome, twin[rows], chance=base_rate)
     yield probe("the observed outcome tells whether CD stands", standing[:, :1], standing[:, 1], twin)
     for name, features in _shared_by_twins(arrays):
         yield probe(f"{name} whether CD stands", features, standing[:, 1], twin)

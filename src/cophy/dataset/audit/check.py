@@ -31,3 +31,9 @@ class ProbeCheck(Check):
 def tolerance(share: float, draws: int) -> float:
     """BALANCE, or three standard deviations of a share among `draws` independent draws where that is more (tiny sets)."""
     return max(BALANCE, 3 * float(np.sqrt(share * (1 - share) / draws)))
+
+
+def none_wrong(name: str, wrong: list[int]) -> Check:
+    """A check that every experiment has to pass; `wrong` are those that do not."""
+    found = f"not in {len(wrong)} experiments, the first is {wrong[0]}" if wrong else "yes"
+    return Check(name, found, not wrong)

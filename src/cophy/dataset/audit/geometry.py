@@ -34,8 +34,7 @@ class Geometry:
 
 def geometry_of(arrays: Arrays, sequence: int, num_objects: int) -> Geometry:
     """A (sequence 0) or C (sequence 1) of all experiments."""
-    place = np.where(arrays["object_index"] < 0, num_objects, arrays["object_index"])
-    order = np.argsort(place, axis=1, kind="stable")[:, :num_objects]
+    order = slots_in_order(arrays, num_objects)
     state = np.take_along_axis(arrays["states"][:, sequence, 0], order[..., None], axis=1).astype(np.float64)
     shape, presence = (
         np.take_along_axis(values, order, axis=1) for values in (arrays["shape"], arrays["presence"][:, sequence])
@@ -43,6 +42,12 @@ def geometry_of(arrays: Arrays, sequence: int, num_objects: int) -> Geometry:
     axis = axis_of(state[..., 3:7], shape[..., None]) * presence[..., None]
     turn = (axis[..., 0] + 1j * axis[..., 1]) ** np.where(shape == Shape.BOX, 4, 2)
     return Geometry(state[..., :3], np.stack([turn.real, turn.imag], axis=-1), axis, shape * presence, presence)
+
+
+def slots_in_order(arrays: Arrays, num_objects: int) -> np.ndarray:
+    """(experiment, object) the slot of each object of A, in the scenario's own order."""
+    place = np.where(arrays["object_index"] < 0, num_objects, arrays["object_index"])
+    return np.argsort(place, axis=1, kind="stable")[:, :num_objects]
 
 
 def geometries(arrays: Arrays, num_objects: int) -> Iterator[Check]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cophy.dataset.audit.check import Arrays, Check
+from cophy.dataset.audit.check import Arrays, Check, none_wrong
 from cophy.dataset.replay import do_operation_of, scene_of, trajectories_of
 from cophy.dataset.spec import DatasetSpec
 from cophy.scenario.energy import largest_gain
@@ -41,7 +41,7 @@ def _configurations(arrays: Arrays, spec: DatasetSpec) -> Check:
         expected = [truth.mass, truth.friction, truth.restitution]
         if not np.allclose(stored, expected) or not np.allclose(arrays["gravity"][row, :2], truth.gravity_xy):
             wrong.append(row)
-    return _all("confounders are those of the configuration", wrong)
+    return none_wrong("confounders are those of the configuration", wrong)
 
 
 def _do_operations(arrays: Arrays) -> Check:
@@ -56,7 +56,7 @@ def _do_operations(arrays: Arrays) -> Check:
         same = (presence == arrays["presence"][row, 1]).all()
         if not same or np.abs(expected - second).max() > ROUNDING_M:
             wrong.append(row)
-    return _all("C is A under the do-operation", wrong)
+    return none_wrong("C is A under the do-operation", wrong)
 
 
 def _places(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
@@ -88,8 +88,3 @@ def _energy(arrays: Arrays, spec: DatasetSpec) -> Check:
         if gain > most:
             most, where = gain, row
     return Check("no sequence gains energy", f"at most {most:.2%} (experiment {where})", most <= LARGEST_GAIN)
-
-
-def _all(name: str, wrong: list[int]) -> Check:
-    found = f"not in {len(wrong)} experiments, the first is {wrong[0]}" if wrong else "yes"
-    return Check(name, found, not wrong)

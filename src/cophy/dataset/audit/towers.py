@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cophy.dataset.audit.check import Arrays, Check, tolerance
+from cophy.dataset.audit.geometry import geometry_of, slots_in_order
 from cophy.dataset.audit.outcomes import stands
 from cophy.dataset.spec import DatasetSpec
 from cophy.scenario.stability import tower_margins
@@ -18,6 +19,7 @@ def towers(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
         np.char.add(np.char.add(words[:, 0], "_"), words[:, 1]) == np.array(spec.scenario.strata())[arrays["stratum"]]
     )
     yield Check("labels agree with the trajectories", f"{right.mean():.1%}", bool(right.all()))
+    yield _statics(arrays, spec, standing)
     yield _agreement(arrays, spec)
     for axis, name in enumerate(("gravity_x", "gravity_y")):
         yield _stability(name, arrays["gravity"][:, axis], standing[:, 1])
@@ -27,32 +29,46 @@ def towers(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
             yield _stability(f"{name} of block {level}", arrays[name][slot], standing[:, 1])
 
 
+def _statics(arrays: Arrays, spec: DatasetSpec, standing: np.ndarray) -> Check:
+    """Every tower, of AB and of CD, stands or falls as statics say of its stored geometry under its own confounders."""
+    mass, gravity_xy = spec.scenario.confounders.masses_and_gravities(spec.num_objects)
+    slots = slots_in_order(arrays, spec.num_objects)
+    own = np.concatenate([np.take_along_axis(arrays["mass"], slots, axis=1), arrays["gravity"][:, :2]], axis=1)
+    column = np.abs(own[:, None] - np.concatenate([mass, gravity_xy], axis=1)).sum(axis=-1).argmin(axis=1)
+    right = [
+        np.take_along_axis(_stand(arrays, spec, sequence), column[:, None], axis=1)[:, 0] == standing[:, sequence]
+        for sequence in (0, 1)
+    ]
+    share = np.mean(right)
+    return Check("statics agree, under the stored masses and gravity", f"{share:.1%}", bool(share == 1))
+
+
 def _agreement(arrays: Arrays, spec: DatasetSpec) -> Check:
     """Of all masses and gravities under which A stands too, how many share the CD of an experiment whose A stands.
 
     By statics, from the stored geometry. Where it is below 1, a standing AB makes the true CD likely, not certain.
     """
-    mass, gravity_xy = spec.scenario.confounders.masses_and_gravities(spec.num_objects)
-    tilt = gravity_xy / -spec.scenario.gravity_z
-    order = np.argsort(np.where(arrays["object_index"] < 0, spec.num_objects, arrays["object_index"]), axis=1)
-    initial = np.take_along_axis(arrays["states"][:, :, 0], order[:, None, :, None], axis=2)
-    xy, yaw = initial[..., :2], 2 * np.arctan2(initial[..., 5], initial[..., 6])
-    present = np.take_along_axis(arrays["presence"][:, 1], order, axis=1).sum(axis=1)
     names = np.array(spec.scenario.strata())[arrays["stratum"]]
-    share = []
-    for kept in np.unique(present):
-        rows = (present == kept) & np.char.startswith(names, "stands")
-        levels = {0: spec.num_objects, 1: int(kept)}
-        observed, counterfactual = (
-            tower_margins(xy[rows, s, :k], yaw[rows, s, :k], mass[:, :k], tilt, size_m=spec.scenario.block_size) > 0  # type: ignore[attr-defined]
-            for s, k in levels.items()
-        )
-        outcome = np.char.endswith(names[rows], "stands")[:, None]
-        share.append((observed & (counterfactual == outcome)).sum(axis=1) / observed.sum(axis=1).clip(min=1))
-    shares = np.concatenate(share)
+    rows = np.char.startswith(names, "stands")
+    observed, counterfactual = (_stand(arrays, spec, sequence)[rows] for sequence in (0, 1))
+    outcome = np.char.endswith(names[rows], "stands")[:, None]
+    shares = (observed & (counterfactual == outcome)).sum(axis=1) / observed.sum(axis=1).clip(min=1)
     needed = spec.scenario.min_agreement  # type: ignore[attr-defined]
     found = f"mean {shares.mean():.1%}, least {shares.min():.1%}, certain in {(shares == 1).mean():.1%}"
     return Check("a standing AB speaks for the true CD", found, bool(shares.min() >= needed - 0.02))
+
+
+def _stand(arrays: Arrays, spec: DatasetSpec, sequence: int) -> np.ndarray:
+    """(experiment, configuration) whether A, or C, stands under each combination of masses and gravity, by statics."""
+    mass, gravity_xy = spec.scenario.confounders.masses_and_gravities(spec.num_objects)
+    tower = geometry_of(arrays, sequence, spec.num_objects)
+    xy, yaw = tower.position[..., :2], np.arctan2(tower.axis[..., 1], tower.axis[..., 0])
+    levels, tilt = tower.presence.sum(axis=1), gravity_xy / -spec.scenario.gravity_z
+    found = np.zeros((len(xy), len(mass)), dtype=bool)
+    for count in np.unique(levels).tolist():
+        rows, size_m = levels == count, spec.scenario.object_size_m
+        found[rows] = tower_margins(xy[rows, :count], yaw[rows, :count], mass[:, :count], tilt, size_m=size_m) > 0
+    return found
 
 
 def _stability(name: str, values: np.ndarray, standing: np.ndarray) -> Check:

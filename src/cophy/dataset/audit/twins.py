@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cophy.dataset.audit.check import Arrays, Check
+from cophy.dataset.audit.check import Arrays, Check, none_wrong
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
 
@@ -34,6 +34,19 @@ def twins(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     yield Check(
         "smallest difference of twins, AB and CD", f"{smallest:.3f} m ≥ {needed} m", bool(smallest >= needed - 1e-4)
     )
+    yield _prescribed(arrays, spec)
     in_place = np.array_equal(arrays["split"], split_of_experiments(spec.num_experiments, spec.seed))
     shares = " : ".join(f"{share:.2f}" for share in np.bincount(arrays["split"], minlength=3) / len(arrays["split"]))
     yield Check("train : val : test, by twin pair", shares, in_place)
+
+
+def _prescribed(arrays: Arrays, spec: DatasetSpec) -> Check:
+    """Every experiment has the configuration, do-operation and cell that its index stands for, which keeps them level."""
+    wrong = []
+    for row in range(0, len(arrays["twin"]), 2):
+        assignment = spec.scenario.assignment(spec.num_objects, seed=spec.seed, pair=int(arrays["twin"][row]))
+        expected = (assignment.first, assignment.do_operation, assignment.cell)
+        found = tuple(int(arrays[name][row]) for name in ("configuration", "do_operation", "stratum"))
+        if found != expected or int(arrays["configuration"][row + 1]) not in assignment.seconds:
+            wrong.append(row)
+    return none_wrong("confounders and do-operation are those of the index", wrong)
