@@ -143,22 +143,34 @@ def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_pat
     audit(tmp_path)
     (page,) = tmp_path.glob("audit/*/audit.md")
     assert "FAILS" not in page.read_text()
-    assert page.with_name("outcomes.png").stat().st_size > 10_000
+    assert all(page.with_name(f"{name}.png").stat().st_size > 10_000 for name in ("outcomes", "bias"))
     assert "lines hold (2 twin pairs" in shard.with_name("README.md").read_text()
 
 
-def test_audit_reports_a_twin_in_another_split(tmp_path: Path) -> None:
-    """Consistent checksums do not save a dataset whose twins do not belong together."""
+def test_audit_names_what_is_wrong(tmp_path: Path) -> None:
+    """Consistent checksums do not save a dataset whose twins do not belong together, or whose states are no numbers."""
     import h5py
 
     run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
     shard = next(tmp_path.rglob("shard-00000.h5"))
     with h5py.File(shard, "r+") as file:
         file["split"][0] = 2 - file["split"][0]
+        file["states"][5, 1, 7] = np.nan
     manifest = shard.with_name("manifest.json")
     manifest.unlink()
     run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")  # vouches for what it finds
-    assert "audit: 2-tiny" in audit(tmp_path, code=1)
+    printed = audit(tmp_path, code=1)
+    assert "audit: 2-tiny" in printed
+    assert "twins share all but confounders: split" in printed
+    assert "states are finite, empty slots zero: no" in printed
+    assert "Traceback" not in printed
+    (page,) = tmp_path.glob("audit/*/audit.md")
+    assert page.read_text().count("FAILS") == printed.count("audit: ")
+    assert "lines fail: " in shard.with_name("README.md").read_text()
+    shard.write_bytes(shard.read_bytes()[:-100])
+    printed = audit(tmp_path, code=1)
+    assert "shard-00000.h5 is damaged (its checksum is not the one in manifest.json): run `python src/gen" in printed
+    assert "Traceback" not in printed
 
 
 def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> None:
