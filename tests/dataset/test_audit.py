@@ -65,6 +65,15 @@ def test_a_flipped_label_is_caught(tiny) -> None:
     assert "labels agree with the trajectories" in failing(towers(arrays | {"stratum": flipped}, spec))
 
 
+def test_twins_that_fall_alike_are_caught(tiny) -> None:
+    spec, arrays = tiny
+    if spec.scenario.name != "blocktower":
+        pytest.skip("towers only")
+    changed = arrays["states"].copy()
+    changed[6:8, 1] = changed[6:8, 1, :1]  # both CD stand
+    assert "twins have opposite outcomes, AB and CD" in failing(towers(arrays | {"states": changed}, spec))
+
+
 def test_unbalanced_masses_are_caught(tiny) -> None:
     spec, arrays = tiny
     heavy = np.where(arrays["mass"] > 0, 10.0, 0.0)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cophy.dataset.audit.check import Arrays, Check, tolerance
+from cophy.dataset.audit.check import Arrays, Check, none_wrong, tolerance
 from cophy.dataset.audit.geometry import geometry_of, slots_in_order
 from cophy.dataset.audit.outcomes import stands
 from cophy.dataset.spec import DatasetSpec
@@ -19,6 +19,8 @@ def towers(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
         np.char.add(np.char.add(words[:, 0], "_"), words[:, 1]) == np.array(spec.scenario.strata())[arrays["stratum"]]
     )
     yield Check("labels agree with the trajectories", f"{right.mean():.1%}", bool(right.all()))
+    alike = np.flatnonzero((standing[::2] == standing[1::2]).any(axis=1))
+    yield none_wrong("twins have opposite outcomes, AB and CD", (2 * alike).tolist())
     yield _statics(arrays, spec, standing)
     yield _agreement(arrays, spec)
     for axis, name in enumerate(("gravity_x", "gravity_y")):
@@ -36,7 +38,8 @@ def _statics(arrays: Arrays, spec: DatasetSpec, standing: np.ndarray) -> Check:
     own = np.concatenate([np.take_along_axis(arrays["mass"], slots, axis=1), arrays["gravity"][:, :2]], axis=1)
     column = np.abs(own[:, None] - np.concatenate([mass, gravity_xy], axis=1)).sum(axis=-1).argmin(axis=1)
     right = [
-        np.take_along_axis(_stand(arrays, spec, sequence), column[:, None], axis=1)[:, 0] == standing[:, sequence]
+        np.take_along_axis(stand_on_paper(arrays, spec, sequence), column[:, None], axis=1)[:, 0]
+        == standing[:, sequence]
         for sequence in (0, 1)
     ]
     share = np.mean(right)
@@ -50,7 +53,7 @@ def _agreement(arrays: Arrays, spec: DatasetSpec) -> Check:
     """
     names = np.array(spec.scenario.strata())[arrays["stratum"]]
     rows = np.char.startswith(names, "stands")
-    observed, counterfactual = (_stand(arrays, spec, sequence)[rows] for sequence in (0, 1))
+    observed, counterfactual = (stand_on_paper(arrays, spec, sequence)[rows] for sequence in (0, 1))
     outcome = np.char.endswith(names[rows], "stands")[:, None]
     shares = (observed & (counterfactual == outcome)).sum(axis=1) / observed.sum(axis=1).clip(min=1)
     needed = spec.scenario.min_agreement  # type: ignore[attr-defined]
@@ -58,7 +61,7 @@ def _agreement(arrays: Arrays, spec: DatasetSpec) -> Check:
     return Check("a standing AB speaks for the true CD", found, bool(shares.min() >= needed - 0.02))
 
 
-def _stand(arrays: Arrays, spec: DatasetSpec, sequence: int) -> np.ndarray:
+def stand_on_paper(arrays: Arrays, spec: DatasetSpec, sequence: int) -> np.ndarray:
     """(experiment, configuration) whether A, or C, stands under each combination of masses and gravity, by statics."""
     mass, gravity_xy = spec.scenario.confounders.masses_and_gravities(spec.num_objects)
     tower = geometry_of(arrays, sequence, spec.num_objects)
