@@ -2,6 +2,7 @@
 
 import io
 import logging
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ log = logging.getLogger(__name__)
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="report")
 def main(cfg: DictConfig) -> None:
-    from cophy.report import figures, render  # matplotlib takes a second to import; --help does not need it
+    from cophy.report import difficulty, figures, render  # matplotlib takes a second to import; --help does not need it
     from cophy.report.runs import read_runs, summary
     from cophy.report.tables import fill, paper_tables
 
@@ -55,6 +56,11 @@ def main(cfg: DictConfig) -> None:
             for name in finished["scenario"].unique()
         }
         drawn |= dict(figures.of_predictions(finished, scenarios))
+        broken_down = by_difficulty(finished, settings, scenarios)
+        if len(broken_down):
+            write_atomically(directory / "difficulty.csv", broken_down.to_csv(index=False).encode())
+            write_atomically(directory / "difficulty.md", difficulty.page(broken_down).encode())
+            drawn |= dict(difficulty.draw(broken_down))
         drawn |= stability_distribution(finished, settings)
     for name, figure in drawn.items():
         picture = io.BytesIO()
@@ -78,10 +84,25 @@ def configuration_of(names: dict[str, Any]) -> dict[str, Any]:
     return {key: plain[key] for key in (*keys, *of_pictures)}
 
 
+def by_difficulty(runs: Any, settings: config.ReportConfig, scenarios: dict[str, Any]) -> Any:
+    """MSE by difficulty on the default split of each scenario, where its dataset lies in `data_dir`; a line per number."""
+    from pandas import DataFrame, concat
+
+    from cophy.report.difficulty import breakdown
+
+    default = {name: scenario.task.splits[0] for name, scenario in scenarios.items()}
+    predictors = runs[(runs["split"] == runs["scenario"].map(default)) & ~runs["model"].str.startswith("derenderer")]
+    frames = []
+    for (name, split, size), found in predictors.groupby(["scenario", "split", "size"]):
+        part = cli.to_config(composed("train", f"scenario={name}", f"split={split}")).split.test
+        arrays = load(name, part.num_objects, size, settings.data_dir)
+        if arrays is not None:
+            frames.append(breakdown(found, arrays, spec_of(name, part.num_objects, size), part))
+    return concat(frames) if frames else DataFrame()
+
+
 def stability_distribution(runs: Any, settings: config.ReportConfig) -> dict[str, Any]:
     """The figure of that name, from the tower datasets that the runs used, where they lie in `data_dir`."""
-    from cophy.dataset.spec import DatasetSpec
-    from cophy.dataset.states import States
     from cophy.report.figures import draw_stability_distribution
 
     towers = runs[runs["scenario"] == "blocktower"]
@@ -89,20 +110,37 @@ def stability_distribution(runs: Any, settings: config.ReportConfig) -> dict[str
     for size in towers["size"].unique():
         arrays, stands = {}, {}
         for count in (3, 4):
-            chosen = cli.to_config(composed("generate", "scenario=blocktower", f"size={size}"))
-            spec = DatasetSpec(chosen.scenario, count, chosen.size, chosen.seed)
-            states = States(spec, Path(settings.data_dir))
+            spec = spec_of("blocktower", count, size)
             if spec.id not in set(towers["dataset_ids"].explode()):
                 continue
-            if not states.is_finished():
-                log.info("%s is not there: no stability distribution of towers of %d", states.directory, count)
-                continue
-            arrays[count] = states.load()
-            standing = [stratum.endswith("stands") for stratum in chosen.scenario.strata()]
-            stands[count] = [standing[stratum] for stratum in arrays[count]["stratum"]]
+            loaded = load("blocktower", count, size, settings.data_dir)
+            if loaded is not None:
+                arrays[count] = loaded
+                standing = [stratum.endswith("stands") for stratum in spec.scenario.strata()]
+                stands[count] = [standing[stratum] for stratum in loaded["stratum"]]
         if arrays:
             drawn[f"stability_distribution-{size}"] = draw_stability_distribution(arrays, stands)
     return drawn
+
+
+def spec_of(scenario: str, num_objects: int, size: str) -> Any:
+    """The dataset that runs of this scenario and size use."""
+    from cophy.dataset.spec import DatasetSpec
+
+    chosen = cli.to_config(composed("generate", f"scenario={scenario}", f"size={size}"))
+    return DatasetSpec(chosen.scenario, num_objects, chosen.size, chosen.seed)
+
+
+@lru_cache(maxsize=2)  # large, and towers of three are looked at twice
+def load(scenario: str, num_objects: int, size: str, data_dir: str) -> dict[str, Any] | None:
+    """The arrays of that dataset; where it is not there, the log says so."""
+    from cophy.dataset.states import States
+
+    states = States(spec_of(scenario, num_objects, size), Path(data_dir))
+    if states.is_finished():
+        return states.load()
+    log.info("%s is not there: the report does without what only the dataset tells", states.directory)
+    return None
 
 
 if __name__ == "__main__":

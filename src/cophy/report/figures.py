@@ -1,6 +1,6 @@
 """Figures of the report: predictions, error over time, tables as bars, and stability per confounder value."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -39,16 +39,26 @@ def of_predictions(runs: pd.DataFrame, scenarios: dict[str, Any]) -> Iterator[tu
             errors = [
                 error_over_time(p["position"], p["target"], p["presence"], dims=scenario.task.metric_dims) for p in each
             ]
-            curves[str(model) if ablation == "full" else f"{model} {ablation}"] = np.mean(errors, axis=0)
+            curves[row_name(str(model), str(ablation))] = np.mean(errors, axis=0)
             if (model, ablation) == ("cophynet", "full"):
                 shown = [each[0][key][:NUM_SHOWN] for key in ("initial", "position", "target", "presence")]
                 yield f"trajectories-{row}", draw_trajectories(*shown, colors=list(scenario.colors.values()))
-        ordered = dict(sorted(curves.items(), key=lambda curve: -curve[1][-1]))
+        ordered = {model: curves[model] for model in in_order(curves)}
         rate = scenario.clock.frame_rate_hz
         yield (
             f"error_over_time-{row}",
             draw_error_over_time(ordered, frame_rate_hz=rate, title=f"{name} {split}, test split"),
         )
+
+
+def row_name(model: str, ablation: str) -> str:
+    """What a row of a table is called in figures."""
+    return model if ablation == "full" else f"{model} {ablation}"
+
+
+def in_order(rows: Iterable[str]) -> list[str]:
+    """Rows as figures colour them: models, then their ablations, so that a model looks the same wherever all models are."""
+    return sorted(rows, key=lambda name: (" " in name, name))
 
 
 def draw_bars(filled: FilledTable) -> Figure:

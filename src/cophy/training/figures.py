@@ -88,7 +88,7 @@ def error_over_time(predicted: np.ndarray, true: np.ndarray, presence: np.ndarra
 
 
 def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: float, title: str = "") -> Figure:
-    """One line per model: the error of `error_over_time` against the time in seconds."""
+    """One line per model: the error of `error_over_time` against the time in seconds. The legend starts with the largest."""
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axis = figure.subplots()
     for n, (name, curve) in enumerate(curves.items()):
@@ -97,5 +97,6 @@ def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: flo
     axis.set(xlabel="time (s)", ylabel="position error (m)", title=title, xlim=(0, None), ylim=(0, None))
     axis.grid(alpha=0.2)
     if len(curves) > 1:
-        figure.legend(loc="outside right center", frameon=False, fontsize="small")
+        lines = sorted(axis.get_lines(), key=lambda line: -float(np.asarray(line.get_ydata())[-1]))
+        figure.legend(handles=lines, loc="outside right center", frameon=False, fontsize="small")
     return figure

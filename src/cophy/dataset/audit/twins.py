@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cophy.dataset.audit.check import Arrays, Check, none_wrong
+from cophy.dataset.difficulty import twin_differences
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
 
@@ -28,8 +29,7 @@ def twins(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     if (first[:, :, 0] != second[:, :, 0]).any():
         differing.append("states at t = 0")
     yield Check("twins share all but confounders", ", ".join(differing) or "yes", not differing)
-    distance = np.linalg.norm(first[..., :3] - second[..., :3], axis=-1).mean(axis=2)
-    smallest = np.where(arrays["presence"][::2], distance, 0.0).max(axis=-1).min()
+    smallest = twin_differences(arrays).min()
     needed = spec.scenario.min_difference
     yield Check(
         "smallest difference of twins, AB and CD", f"{smallest:.3f} m ≥ {needed} m", bool(smallest >= needed - 1e-4)
