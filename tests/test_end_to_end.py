@@ -100,12 +100,17 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     train(*sweep, "ablation=glob(*)", data=tiny_data)
     train(*sweep, "model=copy_c,copy_b", data=tiny_data)
     train(*sweep, "model.hidden_dim=8", "seed=7", data=tiny_data)
-    printed = run("report", f"outputs={tmp_path}")
+    printed = run("report", f"outputs={tmp_path}", f"data_dir={tiny_data}")
     assert "model.hidden_dim=8" in printed  # a run of its own fills no table
+    assert "cophynet static_gating" in (tmp_path / "report" / "difficulty.md").read_text()
     markdown = (tmp_path / "report" / "tables.md").read_text()
     assert "— / 0.318" in markdown  # IN was not run
     names = {path.name for path in (tmp_path / "report" / "figures").iterdir()}
     assert {"table-blocktower.png", "trajectories-blocktower-3to3.png", "error_over_time-blocktower-3to3.png"} <= names
+    assert {"difficulty-blocktower-3to3-tiny.png", "stability_distribution-tiny.png"} <= names
+    printed = run("report", f"outputs={tmp_path}", f"directory={tmp_path}/elsewhere", "data_dir=nowhere")
+    assert "nowhere/blocktower/3-tiny-" in printed
+    assert not (tmp_path / "elsewhere" / "difficulty.md").exists()
     row = next(line for line in markdown.splitlines() if line.startswith("| 3→3 "))
     assert row.count("—") == 3  # IN, NPE, IN sup.
     assert "Size tiny: 28 training and 4 test experiments; 1 epochs; seeds 0." in markdown

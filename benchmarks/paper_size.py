@@ -1,0 +1,87 @@
+"""What size=paper costs: python benchmarks/paper_size.py prints two Markdown tables. Half an hour on one core.
+
+A few experiments of every dataset are made as generate.py makes them, in one process; its CPU time × the counts of
+conf/size/paper.yaml. Experiments are independent of each other: on N cores it takes an N-th of the hours.
+"""
+
+import tempfile
+import time
+from pathlib import Path
+
+import pandas as pd
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+from tqdm import tqdm
+
+from cophy import config
+from cophy.dataset.images import Images
+from cophy.dataset.shardset import ShardSet
+from cophy.dataset.spec import DatasetSpec, Size
+from cophy.dataset.states import States
+from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
+
+ROOT = Path(__file__).parents[1]
+NUM_EXPERIMENTS, PER_SHARD = (
+    48,
+    4,
+)  # all are simulated (towers: whole blocks of cells and do-operations), one shard is drawn
+RENDERS = {
+    f"{name}, {resolution}": RenderSettings(modalities, resolution, Backend.tiny)
+    for resolution in (224, 448)
+    for name, modalities in (("RGB", ["rgb"]), ("all", list(MODALITIES)))
+}
+
+
+def main() -> None:
+    """Measure, then print."""
+    config.register()
+    seconds, sizes = {}, {}
+    for name in ("blocktower", "balls", "collision"):
+        with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+            chosen = OmegaConf.to_object(compose("generate", [f"scenario={name}", "size=paper"]))
+        for count, experiments in chosen.size.num_experiments[name].items():
+            size = Size("measured", PER_SHARD, {name: {count: NUM_EXPERIMENTS}})
+            with tempfile.TemporaryDirectory() as data_dir:
+                took = measure(States(DatasetSpec(chosen.scenario, int(count), size, 0), Path(data_dir)))
+            key = (f"{name}, {count}", experiments)
+            seconds[key] = {what: spent for what, (spent, _) in took.items()}
+            sizes[key] = {what: stored for what, (_, stored) in took.items()}
+    print("CPU-s per experiment, and CPU-hours of all experiments on one core\n")
+    print(table(seconds, per=3600, digits=2))
+    print("\nMiB per experiment, and GiB of all experiments\n")
+    print(table(sizes, per=1024, digits=2))
+
+
+def measure(states: States) -> dict[str, tuple[float, float]]:
+    """CPU-s and MiB per experiment, of the states and of every kind of pictures."""
+    took = {"states": make(states, range(states.spec.num_shards))}
+    states.write_manifest()
+    return took | {what: make(Images(states, render), range(1)) for what, render in RENDERS.items()}
+
+
+def make(shards: ShardSet, which: range) -> tuple[float, float]:
+    """CPU-s and MiB per experiment."""
+    shards.directory.mkdir(parents=True, exist_ok=True)
+    start = time.process_time()
+    for shard in tqdm(which, desc=shards.directory.name, leave=False):
+        shards.write(shards.path(shard), shard, lambda done: None)
+    seconds = time.process_time() - start
+    stored = sum(shards.path(shard).stat().st_size for shard in which)
+    return seconds / (len(which) * PER_SHARD), stored / (len(which) * PER_SHARD) / 2**20
+
+
+def table(each: dict[tuple[str, int], dict[str, float]], *, per: float, digits: int) -> str:
+    """Per dataset and kind: what one experiment takes, and what all take in units of `per`; their sum below."""
+    totals = {key: {what: value * key[1] / per for what, value in row.items()} for key, row in each.items()}
+    rows = [
+        {"dataset": name, "experiments": str(count)}
+        | {what: f"{value:.{digits}f}, {totals[name, count][what]:.1f}" for what, value in row.items()}
+        for (name, count), row in each.items()
+    ]
+    summed = {what: f"{total:.1f}" for what, total in pd.DataFrame(totals.values()).sum().items()}
+    rows.append({"dataset": "together", "experiments": str(sum(count for _, count in each))} | summed)
+    return str(pd.DataFrame(rows).to_markdown(index=False))
+
+
+if __name__ == "__main__":
+    main()

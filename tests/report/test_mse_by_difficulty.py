@@ -1,0 +1,109 @@
+"""MSE by difficulty, from predictions whose errors are known."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from cophy.dataset.counterfactual import to_batch
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.splits import SPLITS, Part
+from cophy.dataset.states import States
+from cophy.report.difficulty import ALL, WORDS, breakdown, draw, groups, page
+from cophy.training.evaluation import evaluate
+from cophy.training.row import Row
+from cophy.types import Prediction
+from tests.conftest import tiny_spec
+from tests.report.test_tables import run
+
+SPEC = tiny_spec("blocktower")
+
+
+@pytest.fixture
+def arrays(tiny_data: Path) -> dict[str, np.ndarray]:
+    """The tiny towers, as if all were tested on."""
+    arrays = States(SPEC, tiny_data).load()
+    return arrays | {"split": np.full_like(arrays["split"], SPLITS.index("test"))}
+
+
+def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, **changes: Any) -> dict[str, Any]:
+    """A run whose predictions are off at random, and the line that `read_runs` makes of it."""
+    batch = to_batch(arrays, SPEC.scenario)
+    noise = torch.randn(batch.target.shape, generator=torch.Generator().manual_seed(seed))
+    prediction = Prediction(batch.target + noise)
+    directory = directory / f"seed{seed}"
+    directory.mkdir()
+    row = Row("blocktower", "3to3", "cophynet", "full", "ground_truth", seed, "tiny", directory)
+    row.write_predictions(prediction, batch)
+    mse = evaluate(prediction, batch, SPEC.scenario)["mse"].mean()
+    line = run("cophynet", seed=seed, size="tiny", directory=directory, dataset_ids=[SPEC.id], mse=mse)
+    return line | changes
+
+
+def broken_down(lines: list[dict[str, Any]], arrays: dict[str, np.ndarray], spec: DatasetSpec = SPEC) -> pd.DataFrame:
+    return breakdown(pd.DataFrame(lines), arrays, spec, Part(3))
+
+
+def test_groups_add_up_to_the_mse_of_the_run(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
+    line = finished_run(arrays, tmp_path)
+    found = broken_down([line], arrays)
+    assert list(found["by"].unique()) == list(WORDS)
+    for by, group in found.groupby("by"):
+        assert ((group["low"] <= group["mse"]) & (group["mse"] <= group["high"])).all()
+        if by != "displacement":  # removals have none
+            assert group["experiments"].sum() == SPEC.num_experiments
+            assert np.average(group["mse"], weights=group["experiments"]) == pytest.approx(line["mse"], rel=1e-4)
+    assert found["experiments"][found["by"] == "cell"].tolist() == [10, 10, 10, 10]
+
+
+def test_seeds_are_averaged_per_experiment(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
+    lines = [finished_run(arrays, tmp_path, seed) for seed in (0, 1)]
+    everything = broken_down(lines, arrays).set_index("by").loc[ALL]
+    assert everything["mse"] == pytest.approx(np.mean([line["mse"] for line in lines]), rel=1e-4)
+    assert everything["seeds"] == 2
+
+
+@pytest.mark.parametrize("changes", [{"mse": 0.123}, {"dataset_ids": ["3-small-00000000"]}])
+def test_predictions_of_something_else_are_named(
+    arrays: dict[str, np.ndarray], tmp_path: Path, changes: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    lines = [finished_run(arrays, tmp_path), finished_run(arrays, tmp_path, seed=1, **changes)]
+    assert set(broken_down(lines, arrays)["seeds"]) == {1}
+    (record,) = caplog.records
+    assert record.levelno == logging.ERROR
+    assert str(tmp_path / "seed1") in record.message
+
+
+def test_predictions_of_other_experiments_are_named(
+    arrays: dict[str, np.ndarray], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    line = finished_run(arrays, tmp_path)
+    other = {name: array[::-1] for name, array in arrays.items()}
+    assert broken_down([line], other).empty
+    assert "seed0: its predictions are not of the test split of 3-tiny" in caplog.text
+
+
+def test_thirds_hold_everything_once_and_keep_equal_numbers_together() -> None:
+    value = np.array([3.0, 1.0, 2.0, np.nan, 6.0, 5.0, 4.0, 1.0])
+    found = {name: rows for by, name, rows in groups({"displacement": value}) if by == "displacement"}
+    assert [value[rows].tolist() for rows in found.values()] == [[1, 2, 1], [3, 4], [6, 5]]
+    assert list(found) == ["1 to 2", "2 to 4", "4 to 6"]
+    tied = np.array([1.0, 1.0, 1.0, 2.0])
+    assert [tied[rows].tolist() for _, _, rows in groups({"displacement": tied})] == [[1, 1, 1, 2], [1, 1, 1], [2]]
+    assert len(list(groups({"displacement": np.full(4, np.nan)}))) == 1  # all, and no other
+
+
+def test_page_and_figures_say_what_they_show(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
+    found = broken_down([finished_run(arrays, tmp_path)], arrays)
+    text = page(found)
+    assert "## blocktower, 3to3, tiny" in text
+    first = found.iloc[0]
+    assert f"{first['mse']:.3f} [{first['low']:.3f}, {first['high']:.3f}]" in text
+    ((name, figure),) = draw(found)
+    assert name == "difficulty-blocktower-3to3-tiny"
+    titles = [axis.get_title() for axis in figure.axes if axis.axison]
+    assert titles == ["cell: outcome of AB, of CD", *list(WORDS.values())[2:]]
