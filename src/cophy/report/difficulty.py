@@ -31,10 +31,8 @@ NUMBERS = {
     "counterfactual_margin": "C: margin of the tower (m)",
 }
 WORDS = {ALL: "all", **NAMED, **NUMBERS}
-CELLS = {
-    "blocktower": "outcome of AB, of CD",
-    "collision": "moving, static object",
-}  # what the words of a cell are about
+# what the words of a cell are about
+CELLS = {"blocktower": "outcome of AB, of CD", "collision": "moving, static object"}
 PANELS_PER_ROW = 4
 SPREAD = 0.6  # of the models of one group, as a share of the distance between groups
 SAME_RUN = 1e-4  # relative: float32, summed in another order
