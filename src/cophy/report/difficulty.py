@@ -14,7 +14,7 @@ from cophy.dataset.difficulty import difficulty
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
 from cophy.report.figures import in_order, read_predictions, row_name
-from cophy.training.evaluation import interval, mean
+from cophy.intervals import interval, mean
 from cophy.training.metrics import mean_squared_error
 from cophy.types import Batch, Prediction
 
