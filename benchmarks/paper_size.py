@@ -18,13 +18,11 @@ from cophy.dataset.images import Images
 from cophy.dataset.shardset import ShardSet
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.states import States
+from cophy.scenario import Scenario
 from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
 
 ROOT = Path(__file__).parents[1]
-NUM_EXPERIMENTS, PER_SHARD = (
-    48,
-    4,
-)  # all are simulated (towers: whole blocks of cells and do-operations), one shard is drawn
+NUM_SIMULATED, NUM_DRAWN = 400, 4  # some searches are long, every picture costs the same
 RENDERS = {
     f"{name}, {resolution}": RenderSettings(modalities, resolution, Backend.tiny)
     for resolution in (224, 448)
@@ -40,9 +38,7 @@ def main() -> None:
         with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
             chosen = OmegaConf.to_object(compose("generate", [f"scenario={name}", "size=paper"]))
         for count, experiments in chosen.size.num_experiments[name].items():
-            size = Size("measured", PER_SHARD, {name: {count: NUM_EXPERIMENTS}})
-            with tempfile.TemporaryDirectory() as data_dir:
-                took = measure(States(DatasetSpec(chosen.scenario, int(count), size, 0), Path(data_dir)))
+            took = measure(chosen.scenario, int(count))
             key = (f"{name}, {count}", experiments)
             seconds[key] = {what: spent for what, (spent, _) in took.items()}
             sizes[key] = {what: stored for what, (_, stored) in took.items()}
@@ -52,22 +48,33 @@ def main() -> None:
     print(table(sizes, per=1024, digits=2))
 
 
-def measure(states: States) -> dict[str, tuple[float, float]]:
+def measure(scenario: Scenario, num_objects: int) -> dict[str, tuple[float, float]]:
     """CPU-s and MiB per experiment, of the states and of every kind of pictures."""
-    took = {"states": make(states, range(states.spec.num_shards))}
-    states.write_manifest()
-    return took | {what: make(Images(states, render), range(1)) for what, render in RENDERS.items()}
+    with tempfile.TemporaryDirectory() as data_dir:
+        simulated, drawn = (
+            States(DatasetSpec(scenario, num_objects, one_shard(scenario.name, num_objects, count), 0), Path(data_dir))
+            for count in (NUM_SIMULATED, NUM_DRAWN)
+        )
+        took = {"states": make(simulated)}
+        make(drawn)
+        drawn.write_manifest()
+        return took | {what: make(Images(drawn, render)) for what, render in RENDERS.items()}
 
 
-def make(shards: ShardSet, which: range) -> tuple[float, float]:
+def one_shard(name: str, num_objects: int, count: int) -> Size:
+    """A size of so many experiments, in one file."""
+    return Size("measured", count, {name: {str(num_objects): count}})
+
+
+def make(shards: ShardSet) -> tuple[float, float]:
     """CPU-s and MiB per experiment."""
     shards.directory.mkdir(parents=True, exist_ok=True)
-    start = time.process_time()
-    for shard in tqdm(which, desc=shards.directory.name, leave=False):
-        shards.write(shards.path(shard), shard, lambda done: None)
-    seconds = time.process_time() - start
-    stored = sum(shards.path(shard).stat().st_size for shard in which)
-    return seconds / (len(which) * PER_SHARD), stored / (len(which) * PER_SHARD) / 2**20
+    count, path = shards.spec.num_experiments, shards.path(0)
+    with tqdm(total=count, desc=shards.title, leave=False) as bar:
+        start = time.process_time()
+        shards.write(path, 0, bar.update)
+        seconds = time.process_time() - start
+    return seconds / count, path.stat().st_size / count / 2**20
 
 
 def table(each: dict[tuple[str, int], dict[str, float]], *, per: float, digits: int) -> str:
