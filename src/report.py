@@ -32,6 +32,8 @@ def main(cfg: DictConfig) -> None:
     for result in filled:
         if result.values[["seeds", "failed"]].to_numpy().any():
             render.show(result.table.title, render.for_terminal(result), result.caption)
+            if (shares := result.shares()) is not None:
+                render.show(render.SHARE, shares.reset_index(names=""), "")
             drawn[f"table-{result.table.id}"] = figures.draw_bars(result)
         else:
             log.info("%s: nothing was run yet", result.table.title)

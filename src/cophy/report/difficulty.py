@@ -13,8 +13,8 @@ from cophy.dataset.counterfactual import select, to_batch
 from cophy.dataset.difficulty import difficulty
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
-from cophy.report.figures import in_order, read_predictions, row_name
 from cophy.intervals import interval, mean
+from cophy.report.figures import in_order, read_predictions, row_name
 from cophy.training.metrics import mean_squared_error
 from cophy.types import Batch, Prediction
 

@@ -7,13 +7,16 @@ from rich.table import Table
 
 from cophy.report.tables import FilledTable
 
+SHARE = "Share of the possible gain, (oracle without AB - ours) / (oracle without AB - oracle with AB)"
 LATEX = {"→": r"$\rightarrow$", "†": r"$\dagger$", "±": r"$\pm$", "×": r"$\times$", "—": "--", "%": r"\%", "_": r"\_"}
 
 
 def markdown(filled: FilledTable) -> str:
     """A section with the table, the best in bold."""
     table = filled.cells(bold=("**", "**")).to_markdown()
-    return f"## {filled.table.title}\n\n{table}\n\n{filled.caption}\n"
+    shares = filled.shares()
+    gain = "" if shares is None else f"\n{SHARE}:\n\n{shares.to_markdown()}\n"
+    return f"## {filled.table.title}\n\n{table}\n\n{filled.caption}\n{gain}"
 
 
 def latex(filled: FilledTable) -> str:

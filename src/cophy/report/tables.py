@@ -23,6 +23,7 @@ class PaperTable:
     paper: list[list[float | None]]
     methods: str | None  # "rows", "columns", or None where nothing competes
     bounds: list[str] = field(default_factory=list)
+    oracles: list[str] = field(default_factory=list)  # without AB, with AB
     lower_is_better: bool = True
     scale: float = 1.0
     digits: int = 3
@@ -37,7 +38,7 @@ class FilledTable:
     """A paper table with our numbers.
 
     values: one line per cell (row, column, ours, sd over seeds, low and high of the 95 % interval, seeds, failed, paper,
-    best), in the table's own unit.
+    best), in the table's own unit, and share: of the possible gain, see `shares`.
     """
 
     table: PaperTable
@@ -49,6 +50,23 @@ class FilledTable:
         texts = [self._text(value, bold) for value in self.values.to_dict("records")]
         wide = self.values.assign(text=texts).pivot(index="row", columns="column", values="text")
         wide = wide.loc[list(self.table.rows), list(self.table.columns)]
+        wide.columns.name = wide.index.name = None
+        return wide
+
+    def shares(self) -> pd.DataFrame | None:
+        """Rows × columns: the share in % of the possible gain, (oracle without AB - ours) / (oracle without AB - oracle with AB).
+
+        None where the oracles were not run, or the table has none.
+        """
+        if self.values["share"].isna().all():
+            return None
+        text = self.values["share"].map(lambda share: MISSING if pd.isna(share) else f"{share:.0%}")
+        wide = self.values.assign(text=text).pivot(index="row", columns="column", values="text")
+        rows, columns = (
+            [name for name in names if name not in self.table.oracles]
+            for names in (self.table.rows, self.table.columns)
+        )
+        wide = wide.loc[rows, columns]
         wide.columns.name = wide.index.name = None
         return wide
 
@@ -100,15 +118,24 @@ def fill(table: PaperTable, runs: pd.DataFrame) -> FilledTable:
             counts = {"seeds": len(found), "failed": failed, "paper": paper}
             values.append({"row": row, "column": column, **scaled, **counts})
     frame = pd.DataFrame(values)
-    return FilledTable(table, frame.assign(best=_best(table, frame)), _caption(table, pd.concat(used)))
+    frame = frame.assign(best=_best(table, frame), share=_share(table, frame))
+    return FilledTable(table, frame, _caption(table, pd.concat(used)))
 
 
 def _derendered(table: PaperTable) -> PaperTable:
+    """The same methods on positions estimated from pictures; oracles see true ones only."""
+    rows, columns = (
+        {name: keys for name, keys in axis.items() if name not in table.oracles} for axis in (table.rows, table.columns)
+    )
     return replace(
         table,
         id=f"{table.id}_derendered",
         title=f"{table.title}; positions estimated from pictures in testing",
         select={**table.select, "positions": "train_ground_truth_test_derendered"},
+        rows=rows,
+        columns=columns,
+        paper=[numbers[: len(columns)] for numbers in table.paper[: len(rows)]],  # oracles come last
+        oracles=[],
         also_derendered=False,
     )
 
@@ -123,12 +150,28 @@ def select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
     return runs[chosen]
 
 
+def _share(table: PaperTable, values: pd.DataFrame) -> "pd.Series[float]":
+    """Of what AB can add to the best that is possible without it; negative for what is worse than that."""
+    if not table.oracles:
+        return pd.Series(np.nan, index=values.index)
+    method, other = _axes(table)
+    without, with_ab = (
+        values[other].map(values[values[method] == oracle].set_index(other)["ours"]) for oracle in table.oracles
+    )
+    return (without - values["ours"]) / (without - with_ab)
+
+
+def _axes(table: PaperTable) -> tuple[str, str]:
+    """The axis of the methods, and the other."""
+    return ("row", "column") if table.methods == "rows" else ("column", "row")
+
+
 def _best(table: PaperTable, values: pd.DataFrame) -> "pd.Series[bool]":
     """Which cells are the best of the methods they compete with."""
     if table.methods is None:
         return pd.Series(False, index=values.index)
-    method, other = ("row", "column") if table.methods == "rows" else ("column", "row")
-    comparable = values["ours"].where(~values[method].isin(table.bounds))
+    method, other = _axes(table)
+    comparable = values["ours"].where(~values[method].isin([*table.bounds, *table.oracles]))
     best = comparable.groupby(values[other]).transform("min" if table.lower_is_better else "max")
     return comparable.eq(best) & comparable.notna()
 
