@@ -9,6 +9,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
 from cophy.model_config import CoPhyNetConfig, CopyBConfig, CopyCConfig, DerendererConfig, InteractionNetworkConfig
@@ -120,6 +121,7 @@ class TrainConfig(MakeDataConfig):
     derenderer: checkpoint of the de-renderer whose estimates are seen instead of true positions; None for the one in outputs/.
     """
 
+    source: Any = MISSING
     model: Any = MISSING
     training: Training = MISSING
     trainer: TrainerConfig = MISSING
@@ -185,6 +187,7 @@ def register() -> None:
         "schema/scenario": {"blocktower": Blocktower, "balls": Balls, "collision": Collision},
         "schema/split": {"split": Split},
         "schema/size": {"size": Size},
+        "schema/source": {"source": Source},
         "schema/render": {"render": RenderSettings},
         "schema/model": {
             "cophynet": CoPhyNetConfig,

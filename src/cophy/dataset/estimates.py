@@ -9,6 +9,7 @@ import numpy as np
 
 from cophy.dataset.images import Images
 from cophy.dataset.shardset import DamagedShardError, ShardSet, dataset_in
+from cophy.dataset.spec import DatasetSpec
 from cophy.scenario.rendering import RenderSettings
 
 
@@ -29,6 +30,8 @@ class Estimates(ShardSet):
 
     position: (experiment, 2, T, slot, 3) float32, metres. presence_logit: (experiment, 2, T, slot) float32.
     """
+
+    spec: DatasetSpec
 
     def __init__(self, images: Images, derenderer: Sees) -> None:
         self.images, self.derenderer = images, derenderer

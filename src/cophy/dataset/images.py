@@ -11,7 +11,9 @@ import h5py
 import hdf5plugin
 import numpy as np
 
+from cophy.dataset.pictures import Reader
 from cophy.dataset.shardset import DamagedShardError, ShardSet, dataset_in
+from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States
 from cophy.scenario.rendering import NO_OBJECT, Frames, Renderer, RenderSettings
 
@@ -29,6 +31,8 @@ class Images(ShardSet):
     first and last column and row (x1, y1, x2, y2) of what is seen of the object, -1 where nothing is.
     """
 
+    spec: DatasetSpec
+
     def __init__(self, states: States, render: RenderSettings) -> None:
         self.states, self.render = states, render
         content = json.dumps([FORMAT_VERSION, sorted(render.modalities), render.resolution, render.backend.value])
@@ -39,6 +43,26 @@ class Images(ShardSet):
             f"{states.command} {choice} render.resolution={render.resolution} render.backend={render.backend.value}"
         )
         super().__init__(states.spec, states.directory / name, title=f"pictures of {states.title}", command=command)
+
+    @property
+    def name(self) -> str:
+        """Of its directory: modalities, resolution and renderer."""
+        return self.directory.name
+
+    def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
+        """Reads frames; keeps the shards open that it has read from."""
+        self.finished_checksums()
+        opened: dict[int, h5py.Dataset] = {}
+
+        def read(row: int, sequence: int, time: int) -> np.ndarray:
+            shard, place = divmod(row, self.spec.size.experiments_per_shard)
+            with self.explained(shard):
+                if shard not in opened:
+                    self.check(self.path(shard), shard)
+                    opened[shard] = h5py.File(self.path(shard), "r")["rgb"]
+                return np.asarray(opened[shard][place, sequence, time])
+
+        return read
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Draw all frames of a shard's experiments, a sequence at a time."""
