@@ -57,6 +57,7 @@ class GenerateConfig(MakeDataConfig):
 class AuditConfig(DataConfig):
     """audit.py. replayed_pairs: twin pairs per dataset that are made and simulated again."""
 
+    source: Any = MISSING
     replayed_pairs: int = MISSING
     directory: str = MISSING
 
@@ -76,6 +77,19 @@ class LookConfig(GenerateConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         _at_least(1, num_shown=self.num_shown)
+
+
+@dataclass
+class ExportConfig(GenerateConfig):
+    """export.py. format: the layout; root: the folder to write to."""
+
+    format: str = MISSING
+    root: str = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.format != "cophy":
+            raise ValueError(f"format={self.format} is not cophy, the one layout that is written")
 
 
 @dataclass
@@ -158,8 +172,9 @@ class PredictConfig:
 
 @dataclass
 class ReportConfig:
-    """report.py. outputs: where train.py wrote its runs."""
+    """report.py. source: of the data that the runs are on. outputs: where train.py wrote its runs."""
 
+    source: Any = MISSING
     outputs: str = MISSING
     data_dir: str = MISSING
     directory: str = MISSING
@@ -179,6 +194,7 @@ def register() -> None:
             "train": TrainConfig,
             "generate": GenerateConfig,
             "audit": AuditConfig,
+            "export": ExportConfig,
             "derender": DerenderConfig,
             "look": LookConfig,
             "predict": PredictConfig,

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from cophy.dataset.audit.check import Arrays, Check
+from cophy.dataset.audit.external import audit_external
 from cophy.dataset.audit.shares import shares, trajectories
 from cophy.dataset.audit.simulation import simulation
 from cophy.dataset.audit.states import states
@@ -10,7 +11,7 @@ from cophy.dataset.audit.towers import towers
 from cophy.dataset.audit.twins import twins
 from cophy.dataset.spec import DatasetSpec
 
-__all__ = ["Check", "audit"]
+__all__ = ["Check", "audit", "audit_external"]
 
 
 def audit(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -> Iterator[Check]:

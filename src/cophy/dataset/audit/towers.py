@@ -21,11 +21,11 @@ def towers(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     yield Check("labels agree with the trajectories", f"{right.mean():.1%}", bool(right.all()))
     yield _agreement(arrays, spec)
     for axis, name in enumerate(("gravity_x", "gravity_y")):
-        yield _stability(name, arrays["gravity"][:, axis], stands[:, 1])
+        yield stability(name, arrays["gravity"][:, axis], stands[:, 1])
     for level in range(spec.num_objects):
         slot = arrays["object_index"] == level
         for name in ("mass", "friction"):
-            yield _stability(f"{name} of block {level}", arrays[name][slot], stands[:, 1])
+            yield stability(f"{name} of block {level}", arrays[name][slot], stands[:, 1])
 
 
 def _agreement(arrays: Arrays, spec: DatasetSpec) -> Check:
@@ -56,7 +56,8 @@ def _agreement(arrays: Arrays, spec: DatasetSpec) -> Check:
     return Check("a standing AB speaks for the true CD", found, bool(shares.min() >= needed - 0.02))
 
 
-def _stability(name: str, values: np.ndarray, stands: np.ndarray) -> Check:
+def stability(name: str, values: np.ndarray, stands: np.ndarray) -> Check:
+    """Whether half of the towers stand, for each value."""
     share = {float(value): float(stands[values == value].mean()) for value in np.unique(values)}
     passed = all(abs(s - 0.5) <= tolerance(0.5, (values == value).sum()) for value, s in share.items())
     return Check(f"CD stands, per {name}", "  ".join(f"{value:g}: {s:.1%}" for value, s in share.items()), passed)
