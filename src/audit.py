@@ -56,7 +56,7 @@ def audited_external(settings: config.AuditConfig) -> Iterator[tuple[str, list[C
         states = settings.source.states(
             settings.scenario, count, split=settings.split, size=settings.size, seed=0, data_dir=Path(settings.data_dir)
         )
-        generation.ensure(states, workers=1)
+        generation.make(states, workers=1)
         arrays = states.load()
         checks = list(audit_external(arrays, states.spec))
         show(f"{states.spec.directory}: {states.spec.num_experiments} folders", checks, f"index: {states.directory}")

@@ -96,6 +96,7 @@ class ExportConfig(GenerateConfig):
 class DerenderConfig(MakeDataConfig):
     """derender.py. derenderer: a checkpoint, None for the one that fits among the runs in `outputs`."""
 
+    source: Any = MISSING
     derenderer: str | None = None
     outputs: str = MISSING
 

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from cophy.dataset import generation
+from cophy.dataset.estimates import Estimates
 from cophy.dataset.external import Clips, ExternalStates
 from cophy.dataset.frames import FrameDataset
 from cophy.dataset.source import Source
 from cophy.errors import CophyError
 from cophy.scenario import Shape
+from cophy.scenario.rendering import Backend, RenderSettings
 from tests.conftest import settings
 from tests.dataset.trees import BALL_COLORS, COLLISION_COLORS, TOWER_COLORS, CoPhyTree, clip, filtered_tree
 
@@ -360,3 +362,22 @@ def test_frames_are_those_of_their_states(tmp_path: Path, source: str) -> None:
         assert abs(float(seen.image.float().mean()) - 8 * time) <= 3
         np.testing.assert_array_equal(seen.position, arrays["states"][row, sequence, time, :, :3])
     assert set(frames.pairs.tolist()) == {0, 1}
+    estimates = Estimates(Clips(opened), Brightness())
+    estimates.directory.mkdir()
+    estimates.write(estimates.path(0), 0, lambda count: None)
+    estimates.write_manifest()
+    position = estimates.load()["position"]
+    np.testing.assert_allclose(position[2, 1, :, 0, 0], 8 * np.arange(30), atol=3)
+    assert not position[1, 1].any()
+
+
+class Brightness:
+    """Sees how bright a frame is, and calls that x."""
+
+    name, source = "brightness", Path("brightness.ckpt")
+    render = RenderSettings(["rgb"], 16, Backend.tiny)
+
+    def __call__(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        position = np.zeros((len(rgb), len(BALL_COLORS), 3))
+        position[..., 0] = rgb.mean(axis=(1, 2, 3))[:, None]
+        return position, np.ones((len(rgb), len(BALL_COLORS)))

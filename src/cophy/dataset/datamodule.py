@@ -21,7 +21,7 @@ from cophy.dataset.counterfactual import (
 from cophy.dataset.estimates import Estimates, Sees
 from cophy.dataset.external import ExternalStates
 from cophy.dataset.images import Images
-from cophy.dataset.source import Source
+from cophy.dataset.source import Source, pictures_of
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import States
@@ -85,7 +85,8 @@ class CounterfactualDataModule(L.LightningDataModule):
             generation.ensure(states, workers=self.workers)
             estimates = self._estimates(states)
             if estimates and not estimates.is_finished():
-                generation.ensure(estimates.images, workers=self.workers)
+                if isinstance(estimates.images, Images):
+                    generation.ensure(estimates.images, workers=self.workers)
                 generation.ensure(estimates, workers=self.workers)
 
     def setup(self, stage: str | None = None) -> None:
@@ -132,12 +133,14 @@ class CounterfactualDataModule(L.LightningDataModule):
         """Those of a dataset, if one of its splits is seen through them."""
         if self.derenderer is None or states.id not in {self._states_of(split).id for split in self.estimated}:
             return None
-        if isinstance(states, ExternalStates):
-            raise CophyError(
-                "positions estimated by a de-renderer are made of generated data alone: use positions=ground_truth"
-            )
-        return Estimates(Images(states, self.derenderer.render), self.derenderer)
+        return Estimates(pictures_of(states, self.derenderer.render), self.derenderer)
 
     def _load(self, states: States | ExternalStates) -> dict[str, np.ndarray]:
-        estimates = self._estimates(states)
-        return states.load() | (estimates.load() if estimates else {})
+        arrays, estimates = states.load(), self._estimates(states)
+        if estimates is None:
+            return arrays
+        if "clip" in arrays and not arrays["clip"].all():
+            missing = (~arrays["clip"].all(axis=1)).sum()
+            raise CophyError(f"{missing} experiments of {states.id} have no RGB clips to estimate positions from")
+        rows = arrays.get("experiment", slice(None))
+        return arrays | {name: array[rows] for name, array in estimates.load().items()}

@@ -13,13 +13,11 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
 from cophy.dataset import generation
-from cophy.dataset.external import Clips, ExternalStates
 from cophy.dataset.images import Images
 from cophy.dataset.pictures import Pictures, Reader
-from cophy.dataset.source import Source
+from cophy.dataset.source import Source, pictures_of
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import SPLITS, Split
-from cophy.dataset.states import States
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import RenderSettings
 
@@ -133,14 +131,14 @@ class FrameDataModule(L.LightningDataModule):
     @property
     def training_depends_on(self) -> list[Any]:
         """What the training frames are a function of."""
-        names = [self._pictures(states).name for states in self.states]
+        names = [pictures_of(states, self.render).name for states in self.states]
         return [self.dataset_ids, names, self.num_frames, self.seed]
 
     def prepare_data(self) -> None:
         """Generate and render what is missing."""
         for states in self.states:
             generation.ensure(states, workers=self.workers)
-            pictures = self._pictures(states)
+            pictures = pictures_of(states, self.render)
             if isinstance(pictures, Images):
                 generation.ensure(pictures, workers=self.workers)
 
@@ -148,7 +146,7 @@ class FrameDataModule(L.LightningDataModule):
         """Choose the frames: `num_frames` to train on, and a tenth of that to validate and to test on."""
         if hasattr(self, "train"):
             return
-        sources = [(self._pictures(states), states.load()) for states in self.states]
+        sources = [(pictures_of(states, self.render), states.load()) for states in self.states]
         self.train, self.val, self.test = (
             FrameDataset(sources, split=split, resolution=self.resolution).sample(count, self.seed)
             for split, count in zip(
@@ -164,9 +162,6 @@ class FrameDataModule(L.LightningDataModule):
 
     def test_dataloader(self) -> DataLoader[FrameBatch]:
         return self._loader(self.test, shuffle=False)
-
-    def _pictures(self, states: States | ExternalStates) -> Images | Clips:
-        return Images(states, self.render) if isinstance(states, States) else Clips(states)
 
     def _loader(self, frames: FrameDataset, *, shuffle: bool) -> DataLoader[FrameBatch]:
         return DataLoader(

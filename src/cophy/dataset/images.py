@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import h5py
 import hdf5plugin
 import numpy as np
 
-from cophy.dataset.pictures import Reader
+from cophy.dataset.pictures import Clip, Reader
 from cophy.dataset.shardset import DamagedShardError, ShardSet, dataset_in
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States
@@ -63,6 +63,22 @@ class Images(ShardSet):
                 return np.asarray(opened[shard][place, sequence, time])
 
         return read
+
+    @property
+    def command_for_estimates(self) -> str:
+        """The command that de-renders these pictures; it lacks the de-renderer."""
+        return self.states.command.replace("src/generate.py", "src/derender.py")
+
+    def sequences(self, shard: int) -> Iterator[Clip]:
+        """(experiment of the shard, sequence, RGB (T, R, R, 3)), in their order."""
+        with self.explained(shard):
+            self.check(self.path(shard), shard)
+        with h5py.File(self.path(shard), "r") as file:
+            for row in range(len(self.spec.experiments_of_shard(shard))):
+                for sequence in (0, 1):
+                    with self.explained(shard):
+                        rgb = file["rgb"][row, sequence]
+                    yield row, sequence, rgb
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Draw all frames of a shard's experiments, a sequence at a time."""

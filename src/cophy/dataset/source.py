@@ -3,12 +3,14 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from cophy.dataset.external import ExternalStates, layout_named
+from cophy.dataset.external import Clips, ExternalStates, layout_named
+from cophy.dataset.images import Images
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.splits import Split
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
+from cophy.scenario.rendering import RenderSettings
 
 GENERATED = "generated"
 
@@ -43,3 +45,8 @@ class Source:
         return ExternalStates(
             layout, Path(self.root), scenario, num_objects, split=split, lists=lists, data_dir=data_dir
         )
+
+
+def pictures_of(states: States | ExternalStates, render: RenderSettings) -> Images | Clips:
+    """The frames of experiments: rendered, or as they were released whatever `render` says."""
+    return Images(states, render) if isinstance(states, States) else Clips(states)

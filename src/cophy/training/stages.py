@@ -12,7 +12,6 @@ from torch import nn
 from cophy.config import TrainConfig
 from cophy.dataset.datamodule import CounterfactualDataModule
 from cophy.dataset.frames import FrameDataModule
-from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.training.augmentation import symmetries_for
@@ -61,7 +60,15 @@ def derenderer_for(settings: TrainConfig, row: Row) -> TrainedDerenderer:
         derenderer = find(row.root, row.scenario, objects, row.split)
     else:
         raise CophyError(f"positions={settings.positions}: name the checkpoint of a de-renderer with derenderer=")
-    derenderer.check([DatasetSpec(settings.scenario, count, settings.size, settings.data_seed) for count in objects])
+    derenderer.check(
+        [
+            settings.source.states(
+                settings.scenario, count, split=settings.split, size=settings.size, seed=settings.data_seed,
+                data_dir=Path(settings.data_dir),
+            )
+            for count in objects
+        ]
+    )  # fmt: skip
     return derenderer
 
 

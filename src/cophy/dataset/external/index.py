@@ -56,7 +56,10 @@ class ExternalStates(ShardSet):
             spec,
             data_dir / scenario.name / spec.id,
             title=f"index of {scenario.name}, {num_objects} objects",
-            command="delete this folder, and run the same command again",
+            command=(
+                f"python src/audit.py source={layout.name} source.root={root} scenario={scenario.name} split={split.name} "
+                f"'num_objects=[{num_objects}]' data_dir={data_dir}"
+            ),
         )
 
     @property
@@ -101,6 +104,12 @@ class ExternalStates(ShardSet):
         arrays = {name: array[whole] for name, array in arrays.items()}
         arrays["twin"] = np.arange(len(arrays["experiment"]))
         return self._listed(self._with_trusted_gravity(arrays))
+
+    def with_clip(self, shard: int) -> np.ndarray:
+        """(experiment, 2) whether AB and CD have an RGB clip."""
+        with self.explained(shard):
+            self.verify(shard, self.finished_checksums()[self.path(shard).name])
+            return self._decode(self.path(shard), shard)["clip"]
 
     def _read(self, directory: Path) -> dict[str, Any]:
         if any((directory / part).is_symlink() for part in ("ab", "cd")):
