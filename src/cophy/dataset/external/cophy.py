@@ -42,7 +42,10 @@ class CoPhy:
         ab, cd = (sampled(read_array(directory / s / "states.npy"), scenario, self.frame_step) for s in ("ab", "cd"))
         looks = _looks(directory / "ab" / "colors.txt", scenario)
         values = _confounders(directory / "confounders.npy", scenario)
-        slots = _slots(ab, list(looks), scenario.num_slots) or _slots_by_confounders(ab, values)
+        padded = _is_padded(ab, list(looks), scenario.num_slots)
+        if cd.shape[1] > ab.shape[1] or (padded and cd.shape[1] != ab.shape[1]):
+            raise BrokenExperimentError(f"states.npy of AB have {ab.shape[1]} objects, of CD {cd.shape[1]}")
+        slots = list(range(scenario.num_slots)) if padded else _slots(ab, list(looks), values)
         states = np.stack([in_slots(columns, slots, scenario.num_slots) for columns in (ab, cd)])
         known = bool(looks) or ab.shape[1] > len(np.flatnonzero(ab[0].any(axis=-1)))
         if not known:
@@ -75,16 +78,9 @@ def _looks(path: Path, scenario: Scenario) -> dict[int, str]:
     return {slot_of(match[2], scenario): match[1] or "" for match in found}
 
 
-def _slots(ab: np.ndarray, colors: list[int], num_slots: int) -> list[int]:
-    """Slot of each column; empty where neither the number of columns nor colors.txt tells."""
-    num_columns = ab.shape[1]
-    if num_columns > num_slots:
-        raise BrokenExperimentError(f"states.npy has {num_columns} objects, {num_slots} slots exist")
-    if num_columns == num_slots and not _stacked_by_column(ab, colors):
-        return list(range(num_slots))
-    if colors and num_columns != len(colors):
-        raise BrokenExperimentError(f"states.npy has {num_columns} objects, colors.txt {len(colors)}")
-    return colors
+def _is_padded(ab: np.ndarray, colors: list[int], num_slots: int) -> bool:
+    """Whether the columns of states.npy are slots, empty ones included; else they are objects."""
+    return ab.shape[1] == num_slots and not _stacked_by_column(ab, colors)
 
 
 def _stacked_by_column(ab: np.ndarray, colors: list[int]) -> bool:
@@ -95,11 +91,11 @@ def _stacked_by_column(ab: np.ndarray, colors: list[int]) -> bool:
     return not colors or bool((np.diff(height[colors]) <= 0).any())
 
 
-def _slots_by_confounders(ab: np.ndarray, values: np.ndarray) -> list[int]:
-    """The slots that have confounders, in slot order: which of them is which object, nobody knows."""
-    slots = np.flatnonzero(values[:, 0] > 0).tolist()
+def _slots(ab: np.ndarray, colors: list[int], values: np.ndarray) -> list[int]:
+    """The slot of each object: of colors.txt, or those that have a mass; which of these is which, nobody knows then."""
+    slots, source = (colors, "colors.txt") if colors else (np.flatnonzero(values[:, 0] > 0).tolist(), "confounders.npy")
     if len(slots) != ab.shape[1]:
-        raise BrokenExperimentError(f"states.npy has {ab.shape[1]} objects, confounders.npy {len(slots)}")
+        raise BrokenExperimentError(f"states.npy has {ab.shape[1]} objects, {source} {len(slots)}")
     return slots
 
 

@@ -49,11 +49,11 @@ def read_array(path: Path) -> np.ndarray:
         version = np.lib.format.read_magic(file)
         header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
         shape, fortran_order, dtype = header(file)
-    except (ValueError, KeyError) as error:
+    except Exception as error:  # whatever a hostile header makes NumPy raise
         raise BrokenFileError(f"{path} is not a .npy file ({' '.join(str(error).split())})") from error
     if dtype.kind not in "fiu":
         raise BrokenFileError(f"{path} holds {dtype}, not plain numbers: pickled objects are not read")
-    if math.prod(shape) * dtype.itemsize != len(content) - file.tell():
+    if len(shape) > 3 or math.prod(shape) * dtype.itemsize != len(content) - file.tell():
         raise BrokenFileError(f"{path} says {dtype} {shape} and holds {len(content) - file.tell()} bytes")
     flat = np.frombuffer(content, dtype, offset=file.tell())
     array = flat.reshape(shape, order="F" if fortran_order else "C").astype(np.float64)

@@ -64,7 +64,7 @@ def in_slots(columns: np.ndarray, slots: list[int], num_slots: int) -> np.ndarra
 def slot_of(color: str, scenario: Scenario) -> int:
     """The slot of a colour."""
     if color not in scenario.colors:
-        raise BrokenExperimentError(f"colour {color} is not among {', '.join(scenario.colors)}")
+        raise BrokenExperimentError(f"colour {color[:20]!r} is not among {', '.join(scenario.colors)}")
     return list(scenario.colors).index(color)
 
 
