@@ -5,6 +5,7 @@ import logging
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,8 @@ def export(images: Images, root: Path) -> Path:
             shutil.rmtree(leftover)
         missing = [row for row in range(len(arrays["split"])) if not (folder / str(row)).exists()]
         for row, pictures in _pictures(images, missing):
-            _appear(folder / str(row), lambda path, r=row, p=pictures: _write(path, r, arrays, p, scenario))  # type: ignore[misc]
+            write = partial(_write, row=row, arrays=arrays, pictures=pictures, scenario=scenario)
+            _appear(folder / str(row), write)
     (root / "splits").mkdir(exist_ok=True)
     for name, rows in lists.items():
         write_atomically(root / "splits" / name, _text(rows))
@@ -56,12 +58,13 @@ def export(images: Images, root: Path) -> Path:
 
 
 def read_back(scenario: Scenario, root: Path) -> str:
-    """The command that trains on an export: its confounders are ours, and not those of the released data."""
+    """The command that trains on an export: its confounders and its camera are ours, and not those of the released data."""
     names = ["mass", "friction", "restitution"] + ["gravity_x", "gravity_y"] * (scenario.name == "blocktower")
-    grids = (
-        f"'scenario.confounders.{n}=[{','.join(f'{v:g}' for v in getattr(scenario.confounders, n))}]'" for n in names
-    )
-    return f"python src/train.py source=cophy source.root={root} scenario={scenario.name} {' '.join(grids)}"
+    values = {f"confounders.{name}": getattr(scenario.confounders, name) for name in names}
+    values |= {f"camera.{name}": getattr(scenario.camera, name) for name in ("eye", "target")}
+    lists = [f"'scenario.{key}=[{','.join(f'{v:g}' for v in value)}]'" for key, value in values.items()]
+    view = f"scenario.camera.field_of_view_deg={scenario.camera.field_of_view_deg:g}"
+    return f"python src/train.py source=cophy source.root={root} scenario={scenario.name} {' '.join(lists)} {view}"
 
 
 def _claim(folder: Path, images: Images, splits: Path, lists: dict[str, np.ndarray]) -> None:
@@ -132,7 +135,7 @@ def _appear(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def _write(
-    directory: Path, row: int, arrays: dict[str, np.ndarray], pictures: dict[str, np.ndarray], scenario: Scenario
+    directory: Path, *, row: int, arrays: dict[str, np.ndarray], pictures: dict[str, np.ndarray], scenario: Scenario
 ) -> None:
     """One experiment."""
     stride = scenario.clock.states_per_frame

@@ -72,7 +72,7 @@ def _presence(states: np.ndarray) -> np.ndarray:
 
 def _snapped(name: str, values: np.ndarray, grid: list[float], present: np.ndarray) -> np.ndarray:
     """Values of present objects on the grid; what is further than SNAP from it is no noise."""
-    nearest = np.array(grid, dtype=float)[np.abs(values[:, None] - np.array(grid)).argmin(axis=1)]
+    nearest = _nearest(values, grid)
     off = present & (np.abs(values - nearest) > SNAP)
     if off.any():
         listed = ", ".join(f"{value:g}" for value in grid)
@@ -80,10 +80,14 @@ def _snapped(name: str, values: np.ndarray, grid: list[float], present: np.ndarr
     return np.where(present, np.where(np.isnan(values), np.nan, nearest), 0.0)
 
 
+def _nearest(values: np.ndarray, grid: list[float]) -> np.ndarray:
+    return np.array(grid, dtype=float)[np.abs(values[:, None] - np.array(grid)).argmin(axis=1)]
+
+
 def _gravity(gravity_xy: np.ndarray, scenario: Scenario) -> np.ndarray:
     """(2,) on the grid, or NaN where the files hold something else: whether that is gravity, nobody knows."""
     grids = (scenario.confounders.gravity_x, scenario.confounders.gravity_y)
-    nearest = [min(grid, key=lambda g, v=value: abs(g - v)) for value, grid in zip(gravity_xy, grids, strict=True)]  # type: ignore[misc]
+    nearest = [_nearest(np.array([value]), grid)[0] for value, grid in zip(gravity_xy, grids, strict=True)]
     on_grid = np.abs(gravity_xy - nearest).max() <= SNAP
     return np.array(nearest) if on_grid else np.full(2, np.nan)
 
