@@ -49,6 +49,10 @@ audit *args: setup
 report *args: setup
     {{bin}}/python src/report.py {{args}}
 
+# generated data in the layout of the released dataset: just export scenario=balls root=/where/CoPhy_224
+export *args: setup
+    {{bin}}/python src/export.py {{args}}
+
 # positions and presence in all frames, by a trained de-renderer: just derender scenario=balls
 derender *args: setup
     {{bin}}/python src/derender.py {{args}}

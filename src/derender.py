@@ -7,8 +7,6 @@ from omegaconf import DictConfig
 
 from cophy import cli, config
 from cophy.dataset import generation
-from cophy.dataset.states import States
-from generate import specs
 
 config.register()
 
@@ -17,22 +15,29 @@ config.register()
 def main(cfg: DictConfig) -> None:
     from cophy.dataset.estimates import Estimates  # torch takes seconds to import; --help does not need it
     from cophy.dataset.images import Images
+    from cophy.dataset.source import pictures_of
     from cophy.training.derenderers import TrainedDerenderer, find
 
     settings: config.DerenderConfig = cli.to_config(cfg)
-    chosen = specs(settings)
+    settings.split.check_scenario(settings.scenario)
+    counts = settings.num_objects or sorted({settings.split.train.num_objects, settings.split.test.num_objects})
+    chosen = [
+        settings.source.states(
+            settings.scenario, count, split=settings.split, size=settings.size, seed=settings.seed,
+            data_dir=Path(settings.data_dir),
+        )
+        for count in counts
+    ]  # fmt: skip
     if settings.derenderer is not None:
         derenderer = TrainedDerenderer(Path(settings.derenderer))
     else:
-        counts = {spec.num_objects for spec in chosen}
-        derenderer = find(Path(settings.outputs), settings.scenario.name, counts, settings.split.name)
+        derenderer = find(Path(settings.outputs), settings.scenario.name, set(counts), settings.split.name)
     derenderer.check(chosen)
-    for spec in chosen:
-        states = States(spec, Path(settings.data_dir))
-        images = Images(states, derenderer.render)
+    for states in chosen:
+        images = pictures_of(states, derenderer.render)
         estimates = Estimates(images, derenderer)
         generation.ensure(states, workers=settings.workers)
-        if not estimates.is_finished():
+        if isinstance(images, Images) and not estimates.is_finished():
             generation.ensure(images, workers=settings.workers)
         generation.make(estimates, workers=settings.workers)
 

@@ -24,7 +24,7 @@ def main(cfg: DictConfig) -> None:
     from cophy.report.tables import fill, paper_tables
 
     settings: config.ReportConfig = cli.to_config(cfg)
-    runs = read_runs(Path(settings.outputs), configuration_of)
+    runs = read_runs(Path(settings.outputs), lambda names: configuration_of(names, settings.source.name))
     directory = Path(settings.directory)
     (directory / "figures").mkdir(parents=True, exist_ok=True)
     filled = [fill(table, runs) for table in paper_tables()]
@@ -54,7 +54,7 @@ def main(cfg: DictConfig) -> None:
     finished = runs[runs["error"].isna()] if len(runs) else runs
     if len(finished):
         scenarios = {
-            name: cli.to_config(composed("train", f"scenario={name}")).scenario
+            name: cli.to_config(composed("train", f"source={settings.source.name}", f"scenario={name}")).scenario
             for name in finished["scenario"].unique()
         }
         drawn |= dict(figures.of_predictions(finished, scenarios))
@@ -63,7 +63,8 @@ def main(cfg: DictConfig) -> None:
             write_atomically(directory / "difficulty.csv", broken_down.to_csv(index=False).encode())
             write_atomically(directory / "difficulty.md", difficulty.page(broken_down).encode())
             drawn |= dict(difficulty.draw(broken_down))
-        drawn |= stability_distribution(finished, settings)
+        if settings.source.is_generated:
+            drawn |= stability_distribution(finished, settings)
     for name, figure in drawn.items():
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=110)
@@ -77,9 +78,10 @@ def composed(name: str, *overrides: str) -> DictConfig:
     return hydra.compose(name, [*paths, *overrides])
 
 
-def configuration_of(names: dict[str, Any]) -> dict[str, Any]:
-    """What the names of a run stand for: the keys that make it the row it claims to be."""
-    cfg = composed("train", *(f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation")))
+def configuration_of(names: dict[str, Any], source: str) -> dict[str, Any]:
+    """What the names of a run stand for on data of this source: the keys that make it the row it claims to be."""
+    groups = (f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation"))
+    cfg = composed("train", f"source={source}", *groups)
     plain: Any = OmegaConf.to_container(cfg, resolve=True, enum_to_str=True)
     keys = ("model", "scenario", "split", "training", "data_seed")
     of_pictures = ("render", "num_frames", "num_objects") if names["model"].startswith("derenderer") else ()

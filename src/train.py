@@ -19,8 +19,10 @@ def main(cfg: DictConfig) -> float:
     from cophy.training.run import run_row  # Lightning takes seconds to import; --help does not need it
 
     chosen = HydraConfig.get().runtime
+    source = chosen.choices["source"]
     row = Row(
-        **{group: chosen.choices[group] for group in ("scenario", "split", "model", "ablation", "size")},
+        **{group: chosen.choices[group] for group in ("scenario", "split", "model", "ablation")},
+        size=chosen.choices["size"] if source == "generated" else source,  # released data have the size they have
         positions=cfg.positions,
         seed=cfg.seed,
         directory=Path(chosen.output_dir),

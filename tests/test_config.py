@@ -71,7 +71,7 @@ def test_every_split_belongs_to_a_scenario() -> None:
     assert {path.stem for path in (ROOT / "conf" / "split").iterdir()} == known
 
 
-@pytest.mark.parametrize("group", ["scenario", "model", "trainer"])
+@pytest.mark.parametrize("group", ["scenario", "source_scenario", "model", "trainer"])
 def test_every_number_in_conf_has_its_source(group: str) -> None:
     for path in (ROOT / "conf" / group).iterdir():
         for line in path.read_text().splitlines():

@@ -3,7 +3,7 @@
 Layers, each importing only those before it:
 
     scenario   scenes, confounders, do-operations, PyBullet, the search for experiments
-    dataset    shards on disk, generation in parallel, splits, what a model is fed
+    dataset    shards on disk, generation in parallel, released datasets, splits, what a model is fed
     models     tensors in, tensors out: CoPhyNet, its ablations, the baselines
     training   Lightning modules, losses, metrics
     report     outputs/ -> the paper's tables, ours beside the paper's numbers

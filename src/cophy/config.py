@@ -9,6 +9,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
 from cophy.model_config import (
@@ -63,6 +64,7 @@ class GenerateConfig(MakeDataConfig):
 class AuditConfig(DataConfig):
     """audit.py. replayed_pairs: twin pairs per dataset that are made and simulated again."""
 
+    source: Any = MISSING
     replayed_pairs: int = MISSING
     directory: str = MISSING
 
@@ -85,9 +87,23 @@ class LookConfig(GenerateConfig):
 
 
 @dataclass
+class ExportConfig(GenerateConfig):
+    """export.py. format: the layout; root: the folder to write to."""
+
+    format: str = MISSING
+    root: str = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.format != "cophy":
+            raise ValueError(f"format={self.format} is not cophy, the one layout that is written")
+
+
+@dataclass
 class DerenderConfig(MakeDataConfig):
     """derender.py. derenderer: a checkpoint, None for the one that fits among the runs in `outputs`."""
 
+    source: Any = MISSING
     derenderer: str | None = None
     outputs: str = MISSING
 
@@ -127,6 +143,7 @@ class TrainConfig(MakeDataConfig):
     derenderer: checkpoint of the de-renderer whose estimates are seen instead of true positions; None for the one in outputs/.
     """
 
+    source: Any = MISSING
     model: Any = MISSING
     training: Training = MISSING
     trainer: TrainerConfig = MISSING
@@ -163,8 +180,9 @@ class PredictConfig:
 
 @dataclass
 class ReportConfig:
-    """report.py. outputs: where train.py wrote its runs."""
+    """report.py. source: of the data that the runs are on. outputs: where train.py wrote its runs."""
 
+    source: Any = MISSING
     outputs: str = MISSING
     data_dir: str = MISSING
     directory: str = MISSING
@@ -184,6 +202,7 @@ def register() -> None:
             "train": TrainConfig,
             "generate": GenerateConfig,
             "audit": AuditConfig,
+            "export": ExportConfig,
             "derender": DerenderConfig,
             "look": LookConfig,
             "predict": PredictConfig,
@@ -192,6 +211,7 @@ def register() -> None:
         "schema/scenario": {"blocktower": Blocktower, "balls": Balls, "collision": Collision},
         "schema/split": {"split": Split},
         "schema/size": {"size": Size},
+        "schema/source": {"source": Source},
         "schema/render": {"render": RenderSettings},
         "schema/model": {
             "cophynet": CoPhyNetConfig,

@@ -182,7 +182,7 @@ def test_frames_are_those_of_the_split_they_are_asked_for(tiny_data: Path) -> No
     chosen = settings("train", "scenario=collision", "size=tiny")
     render = RenderSettings(["rgb"], 16, Backend.tiny)
     data = FrameDataModule(
-        scenario=chosen.scenario, split=chosen.split, num_objects=None, size=chosen.size, seed=0, data_dir=tiny_data, render=render,
+        scenario=chosen.scenario, split=chosen.split, num_objects=None, size=chosen.size, seed=0, data_dir=tiny_data, source=chosen.source, render=render,
         resolution=16, num_frames=100, batch_size=10, workers=2,
     )  # fmt: skip
     data.prepare_data()

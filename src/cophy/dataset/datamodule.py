@@ -1,4 +1,4 @@
-"""LightningDataModule over generated data: makes what is missing, holds everything in memory."""
+"""LightningDataModule over generated or released data: makes what is missing, holds everything in memory."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -21,9 +21,11 @@ from cophy.dataset.counterfactual import (
     with_estimates,
 )
 from cophy.dataset.estimates import Estimates, Sees
+from cophy.dataset.external import ExternalStates
 from cophy.dataset.images import Images
 from cophy.dataset.oracles import OracleForecasts, OracleSettings
-from cophy.dataset.spec import DatasetSpec, Size
+from cophy.dataset.source import Source, pictures_of
+from cophy.dataset.spec import Size
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import States
 from cophy.errors import CophyError
@@ -35,7 +37,8 @@ class CounterfactualDataModule(L.LightningDataModule):
     """Trains and validates on one part of the data, tests on another (or the same); see conf/split/.
 
     derenderer: whose estimates of AB and C are seen instead of the true positions, or None. estimated: the splits of
-    which only the estimates are seen. oracle: name and settings of the one whose forecasts come with the test split, or None.
+    which only the estimates are seen. needs_confounders: whether the true ones are given or learnt, not only estimated. oracle:
+    name and settings of the one whose forecasts come with the test split, or None.
     """
 
     def __init__(
@@ -46,30 +49,35 @@ class CounterfactualDataModule(L.LightningDataModule):
         size: Size,
         seed: int,
         data_dir: Path,
+        source: Source,
         batch_size: int,
         workers: int,
         derenderer: Sees | None = None,
         estimated: tuple[str, ...] = (),
+        needs_confounders: bool = False,
         oracle: tuple[str, OracleSettings] | None = None,
     ) -> None:
         super().__init__()
         split.check_scenario(scenario)
-        self.scenario, self.split, self.data_dir = scenario, split, data_dir
+        self.scenario, self.split = scenario, split
         self.derenderer, self.estimated, self.oracle = derenderer, estimated, oracle
+        self.needs_confounders = needs_confounders
         self.batch_size, self.workers = batch_size, workers
-        self.train_spec = DatasetSpec(scenario, split.train.num_objects, size, seed)
-        self.test_spec = DatasetSpec(scenario, split.test.num_objects, size, seed)
+        self.train_states, self.test_states = (
+            source.states(scenario, part.num_objects, split=split, size=size, seed=seed, data_dir=data_dir)
+            for part in (split.train, split.test)
+        )
 
     @property
     def dataset_ids(self) -> list[str]:
         """Datasets this split reads: the training one first, then the test one if it is another."""
-        return list(dict.fromkeys([self.train_spec.id, self.test_spec.id]))
+        return list(dict.fromkeys([self.train_states.id, self.test_states.id]))
 
     @property
     def training_depends_on(self) -> list[Any]:
         """What the training batches are a function of."""
         seen = self.derenderer.name if self.derenderer and "train" in self.estimated else None
-        return [self.train_spec.id, asdict(self.split.train), asdict(self.scenario.task), seen]
+        return [self.train_states.id, asdict(self.split.train), asdict(self.scenario.task), seen]
 
     @property
     def mean_position(self) -> Tensor:
@@ -78,12 +86,13 @@ class CounterfactualDataModule(L.LightningDataModule):
         return batch.target_initial[batch.target_presence].mean(dim=0)
 
     def prepare_data(self) -> None:
-        """Generate what is missing."""
-        for spec in (self.train_spec, self.test_spec):
-            generation.ensure(States(spec, self.data_dir), workers=self.workers)
-            estimates = self._estimates(spec)
+        """Generate what is missing, or index what was released."""
+        for states in (self.train_states, self.test_states):
+            generation.ensure(states, workers=self.workers)
+            estimates = self._estimates(states)
             if estimates and not estimates.is_finished():
-                generation.ensure(estimates.images, workers=self.workers)
+                if isinstance(estimates.images, Images):
+                    generation.ensure(estimates.images, workers=self.workers)
                 generation.ensure(estimates, workers=self.workers)
         if forecasts := self._forecasts():
             generation.ensure(forecasts, workers=self.workers)
@@ -92,15 +101,21 @@ class CounterfactualDataModule(L.LightningDataModule):
         """Load all splits; confounders are standardised over the training one."""
         if hasattr(self, "train"):
             return
-        specs = {spec.id: spec for spec in (self.train_spec, self.test_spec)}
-        arrays = {name: self._load(spec) for name, spec in specs.items()}
+        sets = {states.id: states for states in (self.train_states, self.test_states)}
+        arrays = {name: self._load(states) for name, states in sets.items()}
         chosen = {split: self._select(arrays, split) for split in SPLITS}
         batches = {split: to_batch(chosen[split], self.scenario) for split in SPLITS}
+        self.knows_confounders = not any(batch.confounders.isnan().any() for batch in batches.values())
+        if self.needs_confounders and not self.knows_confounders:
+            raise CophyError(
+                f"{self.train_states.directory} does not tell all true confounders, which this row needs: it runs on other data"
+            )
         statistics = confounder_statistics(batches["train"])
         seen = {split: standardise(batch, statistics) for split, batch in batches.items()}
         for split in self.estimated:
             seen[split] = with_estimates(seen[split], chosen[split], self.scenario)
-        seen["test"] = seen["test"]._replace(**self._forecast(arrays[self.test_spec.id]))
+        self.test_pairs = chosen["test"]["twin"]
+        seen["test"] = seen["test"]._replace(**self._forecast(arrays[self.test_states.id]))
         self.train, self.val, self.test = (CounterfactualDataset(seen[split]) for split in SPLITS)
 
     def train_dataloader(self) -> DataLoader[Batch]:
@@ -113,23 +128,28 @@ class CounterfactualDataModule(L.LightningDataModule):
         return self.test.loader(self.batch_size, shuffle=False)
 
     def _select(self, arrays: dict[str, dict[str, np.ndarray]], split: str) -> dict[str, np.ndarray]:
-        spec, part = self._spec_of(split), self.split.test if split == "test" else self.split.train
-        chosen = select(arrays[spec.id], part, split)
+        states, part = self._states_of(split), self.split.test if split == "test" else self.split.train
+        chosen = select(arrays[states.id], part, split)
         if not len(chosen["split"]):
-            raise CophyError(f"split={self.split.name} leaves no {split} experiments of {spec.id}: take a larger size=")
+            remedy = "take a larger size=" if isinstance(states, States) else f"see {states.directory}"
+            raise CophyError(f"split={self.split.name} leaves no {split} experiments of {states.id}: {remedy}")
         return chosen
 
-    def _spec_of(self, split: str) -> DatasetSpec:
-        return self.test_spec if split == "test" else self.train_spec
+    def _states_of(self, split: str) -> States | ExternalStates:
+        return self.test_states if split == "test" else self.train_states
 
-    def _estimates(self, spec: DatasetSpec) -> Estimates | None:
+    def _estimates(self, states: States | ExternalStates) -> Estimates | None:
         """Those of a dataset, if one of its splits is seen through them."""
-        if self.derenderer is None or spec.id not in {self._spec_of(split).id for split in self.estimated}:
+        if self.derenderer is None or states.id not in {self._states_of(split).id for split in self.estimated}:
             return None
-        return Estimates(Images(States(spec, self.data_dir), self.derenderer.render), self.derenderer)
+        return Estimates(pictures_of(states, self.derenderer.render), self.derenderer)
 
     def _forecasts(self) -> OracleForecasts | None:
-        return OracleForecasts(States(self.test_spec, self.data_dir), self.oracle[1]) if self.oracle else None
+        if self.oracle is None:
+            return None
+        if isinstance(self.test_states, ExternalStates):
+            raise CophyError("oracles simulate generated data: released data lack what a simulation starts from")
+        return OracleForecasts(self.test_states, self.oracle[1])
 
     def _forecast(self, arrays: dict[str, np.ndarray]) -> dict[str, Tensor]:
         """The oracle's fields of the test batch."""
@@ -142,6 +162,12 @@ class CounterfactualDataModule(L.LightningDataModule):
             for what in ("position", "stable")
         }
 
-    def _load(self, spec: DatasetSpec) -> dict[str, np.ndarray]:
-        estimates = self._estimates(spec)
-        return States(spec, self.data_dir).load() | (estimates.load() if estimates else {})
+    def _load(self, states: States | ExternalStates) -> dict[str, np.ndarray]:
+        arrays, estimates = states.load(), self._estimates(states)
+        if estimates is None:
+            return arrays
+        if "clip" in arrays and not arrays["clip"].all():
+            missing = (~arrays["clip"].all(axis=1)).sum()
+            raise CophyError(f"{missing} experiments of {states.id} have no RGB clips to estimate positions from")
+        rows = arrays.get("experiment", slice(None))
+        return arrays | {name: array[rows] for name, array in estimates.load().items()}

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import h5py
 import numpy as np
 
-from cophy.dataset.images import Images
+from cophy.dataset.pictures import Pictures
 from cophy.dataset.shardset import DamagedShardError, ShardSet, dataset_in
 from cophy.scenario.rendering import RenderSettings
 
@@ -30,12 +30,10 @@ class Estimates(ShardSet):
     position: (experiment, 2, T, slot, 3) float32, metres. presence_logit: (experiment, 2, T, slot) float32.
     """
 
-    def __init__(self, images: Images, derenderer: Sees) -> None:
+    def __init__(self, images: Pictures, derenderer: Sees) -> None:
         self.images, self.derenderer = images, derenderer
         spec = images.spec
-        command = (
-            images.states.command.replace("src/generate.py", "src/derender.py") + f" derenderer={derenderer.source}"
-        )
+        command = f"{images.command_for_estimates} derenderer={derenderer.source}"
         super().__init__(
             spec,
             images.states.directory / f"derendered-{derenderer.name}",
@@ -46,20 +44,18 @@ class Estimates(ShardSet):
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Look at every frame of a shard."""
         layout = self._layout(shard)
-        with self.images.explained(shard):
-            self.images.check(self.images.path(shard), shard)
-        with h5py.File(self.images.path(shard), "r") as pictures, h5py.File(path, "w", libver=("v110", "v110")) as file:
+        with h5py.File(path, "w", libver=("v110", "v110")) as file:
             file.attrs.update(self._sources(shard))
             stored = {
                 name: file.create_dataset(name, shape, dtype, track_times=False)
                 for name, (shape, dtype) in layout.items()
             }
-            for row in range(len(self.spec.experiments_of_shard(shard))):
-                for sequence in (0, 1):
-                    with self.images.explained(shard):
-                        rgb = pictures["rgb"][row, sequence]
-                    stored["position"][row, sequence], stored["presence_logit"][row, sequence] = self.derenderer(rgb)
-                advance(1)
+            done = 0
+            for row, sequence, rgb in self.images.sequences(shard):
+                stored["position"][row, sequence], stored["presence_logit"][row, sequence] = self.derenderer(rgb)
+                advance(row - done)
+                done = row
+            advance(len(self.spec.experiments_of_shard(shard)) - done)
         return {}
 
     def check(self, path: Path, shard: int) -> None:
@@ -69,14 +65,14 @@ class Estimates(ShardSet):
     def description(self) -> dict[str, Any]:
         """Which checkpoint saw which pictures."""
         return {
-            "dataset": self.spec.id,
-            "images": self.images.directory.name,
+            "dataset": self.images.states.directory.name,
+            "images": self.images.name,
             "derenderer": self.derenderer.name,
             "checkpoint": str(self.derenderer.source),
         }
 
     def load(self) -> dict[str, np.ndarray]:
-        """All estimates, experiments in order."""
+        """All estimates, experiments in order; zero where there are no pictures."""
         checksums = self.finished_checksums()
         shards = []
         for shard in range(self.spec.num_shards):
@@ -99,7 +95,7 @@ class Estimates(ShardSet):
         """Checksums of what the estimates are of; pictures may be deleted once they were seen."""
         sources = {"states_sha256": self.images.checksum_of_states(shard)}
         if pictures := self.images.checksums():
-            sources["images_sha256"] = pictures[self.images.path(shard).name]
+            sources["images_sha256"] = pictures[self.path(shard).name]
         return sources
 
     def _layout(self, shard: int) -> dict[str, tuple[tuple[int, ...], str]]:

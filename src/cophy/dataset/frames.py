@@ -1,4 +1,4 @@
-"""Single frames for the de-renderer: RGB from the image shards, positions and presence from the states."""
+"""Single frames for the de-renderer: RGB from image shards or clips, positions and presence from the states."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
-import h5py
 import lightning as L
 import numpy as np
 import torch
@@ -15,9 +14,10 @@ from torch.utils.data import DataLoader, Dataset, default_collate
 
 from cophy.dataset import generation
 from cophy.dataset.images import Images
-from cophy.dataset.spec import DatasetSpec, Size
+from cophy.dataset.pictures import Pictures, Reader
+from cophy.dataset.source import Source, pictures_of
+from cophy.dataset.spec import Size
 from cophy.dataset.splits import SPLITS, Split
-from cophy.dataset.states import States
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import RenderSettings
 
@@ -33,16 +33,19 @@ class FrameBatch(NamedTuple):
 class FrameDataset(Dataset[FrameBatch]):
     """Frames of one split, each an (experiment, sequence, time) of a dataset, read when asked for."""
 
-    def __init__(self, sources: Sequence[tuple[Images, dict[str, np.ndarray]]], *, split: str, resolution: int) -> None:
+    def __init__(
+        self, sources: Sequence[tuple[Pictures, dict[str, np.ndarray]]], *, split: str, resolution: int
+    ) -> None:
         self.sources, self.resolution = sources, resolution
         index = []
-        for source, (images, arrays) in enumerate(sources):
+        for source, (pictures, arrays) in enumerate(sources):
             rows = np.flatnonzero(arrays["split"] == SPLITS.index(split))
-            times = range(images.spec.scenario.clock.num_frames)
+            times = range(pictures.spec.scenario.clock.num_frames)
             grid = np.meshgrid([source], rows, [0, 1], times, indexing="ij")
-            index.append(np.stack(grid, axis=-1).reshape(-1, 4))
+            frames = np.stack(grid, axis=-1).reshape(-1, 4)
+            index.append(frames[arrays["clip"][frames[:, 1], frames[:, 2]]] if "clip" in arrays else frames)
         self.index = np.concatenate(index)
-        self._opened: dict[Path, h5py.Dataset] = {}
+        self._readers: dict[int, Reader] = {}
 
     def __len__(self) -> int:
         return len(self.index)
@@ -56,8 +59,8 @@ class FrameDataset(Dataset[FrameBatch]):
     @property
     def pairs(self) -> np.ndarray:
         """(frame,) which twin pair, of all sources, a frame is of."""
-        source, row = self.index[:, 0], self.index[:, 1]
-        return (row // 2) * len(self.sources) + source
+        twin = [self.sources[source][1]["twin"][row] for source, row in self.index[:, :2]]
+        return np.array(twin) * len(self.sources) + self.index[:, 0]
 
     def sequence_of(self, item: int) -> FrameBatch:
         """All frames, in time, of the sequence that a frame is from."""
@@ -74,25 +77,18 @@ class FrameDataset(Dataset[FrameBatch]):
 
     def __getitem__(self, item: int) -> FrameBatch:
         source, row, sequence, time = self.index[item].tolist()
-        images, _ = self.sources[source]
-        shard, place = divmod(row, images.spec.size.experiments_per_shard)
-        with images.explained(shard):
-            rgb = self._rgb(images, shard)[place, sequence, time]
+        if source not in self._readers:  # by the process that reads
+            pictures, arrays = self.sources[source]
+            self._readers[source] = pictures.reader(arrays)
+        rgb = self._readers[source](row, sequence, time)
         return FrameBatch(to_image(rgb, self.resolution), *self._truth(item))
 
     def _truth(self, item: int) -> tuple[Tensor, Tensor]:
         source, row, sequence, time = self.index[item].tolist()
-        images, arrays = self.sources[source]
-        state = time * images.spec.scenario.clock.states_per_frame
+        pictures, arrays = self.sources[source]
+        state = time * pictures.spec.scenario.clock.states_per_frame
         position, presence = arrays["states"][row, sequence, state, :, :3], arrays["presence"][row, sequence]
         return torch.from_numpy(position), torch.from_numpy(presence)
-
-    def _rgb(self, images: Images, shard: int) -> h5py.Dataset:
-        path = images.path(shard)
-        if path not in self._opened:  # by the process that reads
-            images.check(path, shard)
-            self._opened[path] = h5py.File(path, "r")["rgb"]
-        return self._opened[path]
 
 
 class FrameDataModule(L.LightningDataModule):
@@ -111,6 +107,7 @@ class FrameDataModule(L.LightningDataModule):
         size: Size,
         seed: int,
         data_dir: Path,
+        source: Source,
         render: RenderSettings,
         resolution: int,
         num_frames: int,
@@ -120,34 +117,36 @@ class FrameDataModule(L.LightningDataModule):
         super().__init__()
         split.check_scenario(scenario)
         counts = sorted(num_objects or {split.train.num_objects, split.test.num_objects})
-        self.states = [States(DatasetSpec(scenario, count, size, seed), data_dir) for count in counts]
+        self.states = [
+            source.states(scenario, count, split=split, size=size, seed=seed, data_dir=data_dir) for count in counts
+        ]
         self.scenario, self.render, self.resolution = scenario, render, resolution
         self.num_frames, self.seed, self.batch_size, self.workers = num_frames, seed, batch_size, workers
 
     @property
     def dataset_ids(self) -> list[str]:
         """The datasets whose frames are seen."""
-        return [states.spec.id for states in self.states]
+        return [states.id for states in self.states]
 
     @property
     def training_depends_on(self) -> list[Any]:
         """What the training frames are a function of."""
-        names = [Images(states, self.render).directory.name for states in self.states]
+        names = [pictures_of(states, self.render).name for states in self.states]
         return [self.dataset_ids, names, self.num_frames, self.seed]
 
     def prepare_data(self) -> None:
         """Generate and render what is missing."""
         for states in self.states:
             generation.ensure(states, workers=self.workers)
-            generation.ensure(Images(states, self.render), workers=self.workers)
+            pictures = pictures_of(states, self.render)
+            if isinstance(pictures, Images):
+                generation.ensure(pictures, workers=self.workers)
 
     def setup(self, stage: str | None = None) -> None:
         """Choose the frames: `num_frames` to train on, and a tenth of that to validate and to test on."""
         if hasattr(self, "train"):
             return
-        sources = [(Images(states, self.render), states.load()) for states in self.states]
-        for images, _ in sources:
-            images.finished_checksums()
+        sources = [(pictures_of(states, self.render), states.load()) for states in self.states]
         self.train, self.val, self.test = (
             FrameDataset(sources, split=split, resolution=self.resolution).sample(count, self.seed)
             for split, count in zip(

@@ -70,7 +70,7 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
     done = context.Value("q", 0)
     start, took = time.monotonic(), defaultdict[str, float](float)
     with (
-        _progress_bar(shards.title, total) as advance_to,
+        progress_bar(shards.title, total) as advance_to,
         ProcessPoolExecutor(min(workers, len(missing)), context, _start_worker, (done,)) as pool,
     ):
         pending = {pool.submit(_make_shard, shard, shards) for shard in missing}
@@ -122,7 +122,8 @@ def _exit_with_parent() -> None:
 
 
 @contextmanager
-def _progress_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
+def progress_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A bar of experiments; the function it gives moves it to a count."""
     seconds = 0.5 if sys.stderr.isatty() else 20.0  # between updates: a log wants fewer lines
     with tqdm(total=total, unit="exp", desc=title, mininterval=seconds, smoothing=0.1) as bar:
 

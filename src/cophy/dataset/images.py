@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,9 @@ import h5py
 import hdf5plugin
 import numpy as np
 
+from cophy.dataset.pictures import Clip, Reader
 from cophy.dataset.shardset import DamagedShardError, ShardSet, dataset_in
+from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States
 from cophy.scenario.rendering import NO_OBJECT, Frames, Renderer, RenderSettings
 
@@ -29,6 +31,8 @@ class Images(ShardSet):
     first and last column and row (x1, y1, x2, y2) of what is seen of the object, -1 where nothing is.
     """
 
+    spec: DatasetSpec
+
     def __init__(self, states: States, render: RenderSettings) -> None:
         self.states, self.render = states, render
         content = json.dumps([FORMAT_VERSION, sorted(render.modalities), render.resolution, render.backend.value])
@@ -39,6 +43,42 @@ class Images(ShardSet):
             f"{states.command} {choice} render.resolution={render.resolution} render.backend={render.backend.value}"
         )
         super().__init__(states.spec, states.directory / name, title=f"pictures of {states.title}", command=command)
+
+    @property
+    def name(self) -> str:
+        """Of its directory: modalities, resolution and renderer."""
+        return self.directory.name
+
+    def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
+        """Reads frames; keeps the shards open that it has read from."""
+        self.finished_checksums()
+        opened: dict[int, h5py.Dataset] = {}
+
+        def read(row: int, sequence: int, time: int) -> np.ndarray:
+            shard, place = divmod(row, self.spec.size.experiments_per_shard)
+            with self.explained(shard):
+                if shard not in opened:
+                    self.check(self.path(shard), shard)
+                    opened[shard] = h5py.File(self.path(shard), "r")["rgb"]
+                return np.asarray(opened[shard][place, sequence, time])
+
+        return read
+
+    @property
+    def command_for_estimates(self) -> str:
+        """The command that de-renders these pictures; it lacks the de-renderer."""
+        return self.states.command.replace("src/generate.py", "src/derender.py")
+
+    def sequences(self, shard: int) -> Iterator[Clip]:
+        """(experiment of the shard, sequence, RGB (T, R, R, 3)), in their order."""
+        with self.explained(shard):
+            self.check(self.path(shard), shard)
+        with h5py.File(self.path(shard), "r") as file:
+            for row in range(len(self.spec.experiments_of_shard(shard))):
+                for sequence in (0, 1):
+                    with self.explained(shard):
+                        rgb = file["rgb"][row, sequence]
+                    yield row, sequence, rgb
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Draw all frames of a shard's experiments, a sequence at a time."""

@@ -14,6 +14,7 @@ import numpy as np
 from cophy.dataset.counterfactual import stable_frames
 from cophy.dataset.replay import do_operation_of, scene_of
 from cophy.dataset.shardset import DamagedShardError, ShardSet, dataset_in
+from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, split_of_experiments
 from cophy.dataset.states import States
 from cophy.scenario import Simulator
@@ -35,6 +36,8 @@ class OracleForecasts(ShardSet):
     """For the test split: position (experiment, T-1, K, 3), the mean of D in metres, and stable (experiment, T-1, K), the
     probability that an object is stable, by each of ORACLES. experiment: (experiment,) their indices in the dataset.
     """
+
+    spec: DatasetSpec
 
     def __init__(self, states: States, settings: OracleSettings) -> None:
         self.states, self.settings = states, settings

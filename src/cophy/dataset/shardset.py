@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import h5py
 import numpy as np
 
-from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
 from cophy.files import sha256, write_atomically
+from cophy.scenario import Scenario
 
 MANIFEST = "manifest.json"
 VERSIONS = ("cophy", "numpy", "pybullet", "h5py", "hdf5plugin", "opencv-python-headless")  # that bytes may depend on
@@ -24,13 +24,30 @@ class DamagedShardError(Exception):
     """A file is not a whole shard of its set; the message says what is wrong with it."""
 
 
+class Sharded(Protocol):
+    """Experiments in an order, so many to a file."""
+
+    @property
+    def scenario(self) -> Scenario: ...
+
+    @property
+    def num_experiments(self) -> int: ...
+
+    @property
+    def num_shards(self) -> int: ...
+
+    def experiments_of_shard(self, shard: int) -> range:
+        """Indices of the experiments in a shard."""
+        ...
+
+
 class ShardSet(ABC):
     """Arrays of all experiments of a dataset, in shards of one directory: a pure function of a configuration.
 
     title: what is in it, for people. command: what makes, continues or repairs it.
     """
 
-    def __init__(self, spec: DatasetSpec, directory: Path, *, title: str, command: str) -> None:
+    def __init__(self, spec: Sharded, directory: Path, *, title: str, command: str) -> None:
         self.spec, self.directory, self.title, self.command = spec, directory, title, command
 
     @abstractmethod

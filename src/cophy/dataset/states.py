@@ -19,10 +19,17 @@ from cophy.scenario.assignment import seen_configurations
 class States(ShardSet):
     """The states of a dataset, in its own directory."""
 
+    spec: DatasetSpec
+
     def __init__(self, spec: DatasetSpec, data_dir: Path) -> None:
         directory = spec.directory(data_dir)
         title = f"{spec.scenario.name}, {spec.num_objects} objects"
         super().__init__(spec, directory, title=title, command=spec.command(directory))
+
+    @property
+    def id(self) -> str:
+        """Name of the dataset."""
+        return self.spec.id
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Search and simulate the experiments of a shard."""

@@ -2,14 +2,16 @@
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from cophy.dataset.external import ExternalStates
 from cophy.dataset.frames import to_image
-from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.scenario.rendering import Backend, RenderSettings
@@ -40,19 +42,22 @@ class TrainedDerenderer:
         self.render = RenderSettings(render["modalities"], render["resolution"], Backend(render["backend"]))
         self._network: Derenderer | None = None
 
-    def check(self, specs: Sequence[DatasetSpec]) -> None:
+    def check(self, sets: Sequence[States | ExternalStates]) -> None:
         """Refuse datasets that it was not trained for: its slots, camera, and test experiments would not be theirs."""
-        for spec in specs:
-            own = {**self._config["scenario"], "task": None}
-            wanted = {**spec.generating_configuration()["scenario"], "task": None}
+        for states in sets:
+            own, wanted = {**self._config["scenario"], "task": None}, {**asdict(states.spec.scenario), "task": None}
             differing = sorted(key for key in own.keys() | wanted.keys() if own.get(key) != wanted.get(key))
             if differing:
                 raise CophyError(f"the de-renderer {self.source} is of another scenario (its {', '.join(differing)})")
-            trained = (self._config["size"]["num_experiments"], self._config["data_seed"])
-            if trained != (spec.size.num_experiments, spec.seed):
+            if isinstance(states, States):
+                trained = (self._config["size"]["num_experiments"], self._config["data_seed"])
+                same = trained == (states.spec.size.num_experiments, states.spec.seed)
+            else:
+                same = states.id in self._config.get("trained_on", [[]])[0]
+            if not same:
                 raise CophyError(
-                    f"the de-renderer {self.source} was trained at another size or data seed: it may have seen the test "
-                    f"experiments of {spec.id} in training"
+                    f"the de-renderer {self.source} was trained at another size or data seed, or with other lists: it may "
+                    f"have seen the test experiments of {states.id} in training"
                 )
 
     def __call__(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

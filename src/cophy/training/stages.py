@@ -13,7 +13,6 @@ from cophy.config import TrainConfig
 from cophy.dataset.datamodule import CounterfactualDataModule
 from cophy.dataset.frames import FrameDataModule
 from cophy.dataset.oracles import OracleSettings
-from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.models.oracles import Oracle
@@ -63,7 +62,15 @@ def derenderer_for(settings: TrainConfig, row: Row) -> TrainedDerenderer:
         derenderer = find(row.root, row.scenario, objects, row.split)
     else:
         raise CophyError(f"positions={settings.positions}: name the checkpoint of a de-renderer with derenderer=")
-    derenderer.check([DatasetSpec(settings.scenario, count, settings.size, settings.data_seed) for count in objects])
+    derenderer.check(
+        [
+            settings.source.states(
+                settings.scenario, count, split=settings.split, size=settings.size, seed=settings.data_seed,
+                data_dir=Path(settings.data_dir),
+            )
+            for count in objects
+        ]
+    )  # fmt: skip
     return derenderer
 
 
@@ -77,6 +84,7 @@ def _derendering(network: Derenderer, settings: TrainConfig, resolved: dict[str,
         size=settings.size,
         seed=settings.data_seed,
         data_dir=Path(settings.data_dir),
+        source=settings.source,
         render=settings.render,
         resolution=network.resolution,
         num_frames=settings.num_frames,
@@ -108,11 +116,14 @@ def _prediction(network: nn.Module, settings: TrainConfig, row: Row, resolved: d
         size=settings.size,
         seed=settings.data_seed,
         data_dir=Path(settings.data_dir),
+        source=settings.source,
         batch_size=settings.training.batch_size,
         workers=settings.workers,
         derenderer=derenderer,
         estimated=ESTIMATED[settings.positions],
         oracle=oracle,
+        needs_confounders=settings.training.confounder_weight > 0
+        or resolved["model"].get("confounders") == "ground_truth",
     )
     turns = symmetries_for(settings.split.train, settings.scenario)
     symmetries = turns if settings.training.augmentation else turns[:1]
@@ -121,12 +132,13 @@ def _prediction(network: nn.Module, settings: TrainConfig, row: Row, resolved: d
     def results() -> tuple[dict[str, np.ndarray], np.ndarray]:
         prediction, batch = module.tested
         values = evaluate(prediction, batch, settings.scenario)
-        if prediction.confounder_estimate is not None and not ESTIMATED[settings.positions]:
+        probed = data.knows_confounders and not ESTIMATED[settings.positions]
+        if prediction.confounder_estimate is not None and probed:
             fitted = estimate(network, data.train.batch, batch_size=settings.training.batch_size)
             assert fitted is not None
             values |= probe((fitted, data.train.batch), (prediction.confounder_estimate, batch))
         row.write_predictions(prediction, batch)
-        return values, np.arange(len(data.test)) // 2
+        return values, data.test_pairs
 
     seen = derenderer.name if derenderer else None
     return Stage(data, module, seen, PredictionFigures(settings.figures_every_n_epochs), results)

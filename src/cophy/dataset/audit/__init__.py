@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from cophy.dataset.audit.bias import bias
 from cophy.dataset.audit.check import Arrays, Check, ProbeCheck
+from cophy.dataset.audit.external import audit_external
 from cophy.dataset.audit.geometry import geometries
 from cophy.dataset.audit.shares import shares, trajectories
 from cophy.dataset.audit.simulation import simulation
@@ -12,7 +13,7 @@ from cophy.dataset.audit.towers import towers
 from cophy.dataset.audit.twins import twins
 from cophy.dataset.spec import DatasetSpec
 
-__all__ = ["Check", "ProbeCheck", "audit"]
+__all__ = ["Check", "ProbeCheck", "audit", "audit_external"]
 
 
 def audit(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -> Iterator[Check]:

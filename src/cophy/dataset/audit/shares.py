@@ -7,6 +7,7 @@ from scipy.stats import ks_2samp
 
 from cophy.dataset.audit.check import Arrays, Check, tolerance
 from cophy.dataset.audit.outcomes import mean_distance
+from cophy.dataset.external.spec import ExternalSpec
 from cophy.dataset.spec import DatasetSpec
 
 FURTHEST = 0.5  # ours: Kolmogorov-Smirnov; a heavy object flies less far than a light one, but no value settles how far
@@ -16,26 +17,27 @@ def shares(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     """Frequencies of strata, do-operations and confounder values: equal, up to chance and BALANCE."""
     scenario, count, cells = spec.scenario, len(arrays["twin"]), spec.scenario.num_cells()
     strata, kinds, grid = scenario.strata(), scenario.do_operations, scenario.confounders
-    yield _level("strata", arrays["stratum"], dict(enumerate(strata)), draws=count)
-    yield _level("do-operations", arrays["do_operation"], dict(enumerate(kinds)), draws=count // (2 * cells))
+    yield level("strata", arrays["stratum"], dict(enumerate(strata)), draws=count)
+    yield level("do-operations", arrays["do_operation"], dict(enumerate(kinds)), draws=count // (2 * cells))
     present = arrays["object_index"] >= 0
     # each configuration that is drawn serves one experiment per cell
     for name in ("mass", "friction", "restitution"):
         values = {value: f"{value:g}" for value in getattr(grid, name)}
-        yield _level(name, arrays[name][present], values, draws=present.sum() // cells)
+        yield level(name, arrays[name][present], values, draws=present.sum() // cells)
     for axis, name in enumerate(("gravity_x", "gravity_y")):
         values = {value: f"{value:g}" for value in getattr(grid, name)}
-        yield _level(name, arrays["gravity"][:, axis], values, draws=count // cells)
+        yield level(name, arrays["gravity"][:, axis], values, draws=count // cells)
 
 
-def _level(name: str, values: np.ndarray, labels: Mapping[float, str], *, draws: int) -> Check:
+def level(name: str, values: np.ndarray, labels: Mapping[float, str], *, draws: int) -> Check:
+    """Whether each value has an equal share of `draws` independent draws."""
     share = {label: float(np.isclose(values, value).mean()) for value, label in labels.items()}
     equal = 1 / len(share)
     passed = all(abs(value - equal) <= tolerance(equal, draws) for value in share.values())
     return Check(f"share of {name}", "  ".join(f"{label} {value:.1%}" for label, value in share.items()), passed)
 
 
-def trajectories(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+def trajectories(arrays: Arrays, spec: DatasetSpec | ExternalSpec) -> Iterator[Check]:
     """How far apart the distributions of paths in CD are under two values of an object's own confounder."""
     for name, paths in paths_per_value(arrays, spec).items():
         samples = list(paths.values())
@@ -46,7 +48,7 @@ def trajectories(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
             yield Check(f"paths in CD per {name}", found, bool(apart <= limit))
 
 
-def paths_per_value(arrays: Arrays, spec: DatasetSpec) -> dict[str, dict[float, np.ndarray]]:
+def paths_per_value(arrays: Arrays, spec: DatasetSpec | ExternalSpec) -> dict[str, dict[float, np.ndarray]]:
     """Confounder -> value -> how far objects with that value are from their start in CD, averaged over time, metres.
 
     Per object in the scenario's order where this has a meaning (collision: moving, static), else over all objects.

@@ -24,11 +24,11 @@ def towers(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     yield _statics(arrays, spec, standing)
     yield _agreement(arrays, spec)
     for axis, name in enumerate(("gravity_x", "gravity_y")):
-        yield _stability(name, arrays["gravity"][:, axis], standing[:, 1])
+        yield stability(name, arrays["gravity"][:, axis], standing[:, 1])
     for level in range(spec.num_objects):
         slot = arrays["object_index"] == level
         for name in ("mass", "friction"):
-            yield _stability(f"{name} of block {level}", arrays[name][slot], standing[:, 1])
+            yield stability(f"{name} of block {level}", arrays[name][slot], standing[:, 1])
 
 
 def _statics(arrays: Arrays, spec: DatasetSpec, standing: np.ndarray) -> Check:
@@ -74,7 +74,8 @@ def stand_on_paper(arrays: Arrays, spec: DatasetSpec, sequence: int) -> np.ndarr
     return found
 
 
-def _stability(name: str, values: np.ndarray, standing: np.ndarray) -> Check:
+def stability(name: str, values: np.ndarray, standing: np.ndarray) -> Check:
+    """Whether half of the towers stand, for each value."""
     share = {float(value): float(standing[values == value].mean()) for value in np.unique(values)}
     passed = all(abs(s - 0.5) <= tolerance(0.5, (values == value).sum()) for value, s in share.items())
     return Check(f"CD stands, per {name}", "  ".join(f"{value:g}: {s:.1%}" for value, s in share.items()), passed)
