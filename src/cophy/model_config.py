@@ -26,8 +26,10 @@ class CoPhyNetConfig:
     slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
 
     def __post_init__(self) -> None:
-        if min(self.hidden_dim, self.gru_layers, self.node_layers) < 1 or self.edge_layers < 2:
-            raise ValueError("model: hidden_dim, gru_layers and node_layers must be at least 1, edge_layers at least 2")
+        if min(self.hidden_dim, self.gru_layers) < 1 or min(self.node_layers, self.edge_layers) < 2:
+            raise ValueError(
+                "model: hidden_dim and gru_layers must be at least 1, edge_layers and node_layers at least 2"
+            )
         if self.temperature <= 0:
             raise ValueError(f"model.temperature={self.temperature} must be positive")
         if self.decoding is Decoding.single_step and self.num_frames is None:

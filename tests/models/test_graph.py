@@ -3,7 +3,9 @@
 import torch
 from torch import Tensor, nn
 
-from cophy.models.graph import GraphConvolution, Messages, fully_connected, neighbours
+from cophy.models.affine import Affine
+from cophy.models.convolution import GraphConvolution
+from cophy.models.graph import Messages, neighbours
 
 
 def edge_function(messages: Messages, receiver: Tensor, sender: Tensor) -> Tensor:
@@ -30,17 +32,21 @@ def written_out(graph: GraphConvolution, nodes: Tensor) -> Tensor:
     return torch.stack([graph.node(torch.cat([nodes[k], received[k], everything])) for k in range(count)])
 
 
-def test_the_fast_form_equals_the_equation() -> None:
+def test_convolutions_together_equal_the_equation() -> None:
     torch.manual_seed(0)
-    graph = GraphConvolution(5, 16, edge_layers=4, node_layers=2)
-    nodes = torch.randn(3, 6, 5)
+    graphs = [GraphConvolution(5, 16, edge_layers=4, node_layers=3) for _ in range(2)]
+    readouts = [Affine(torch.randn(width, 16), torch.randn(width)) for width in (1, 7)]
+    nodes = torch.randn(6, 3, 5)
     presence = torch.tensor([[1, 1, 1, 1, 1, 1], [0, 1, 0, 1, 1, 0], [0, 0, 1, 0, 0, 0]], dtype=torch.bool)
-    result = graph(nodes, fully_connected(presence))
-    for row, mask in enumerate(presence):
-        torch.testing.assert_close(result[row, mask], written_out(graph, nodes[row, mask]))
+    position, constant = nodes.flatten(0, 1).split([3, 2], dim=1)
+    results = GraphConvolution.together(list(zip(graphs, readouts, strict=True)), presence.t(), constant)(position)
+    for graph, readout, result in zip(graphs, readouts, results, strict=True):
+        for row, mask in enumerate(presence):
+            expected = readout(written_out(graph, nodes[mask, row]))
+            torch.testing.assert_close(result.unflatten(0, (6, 3))[mask, row], expected)
 
 
-def test_the_edge_function_has_the_layers_asked_for() -> None:
+def test_f_and_g_have_the_layers_asked_for() -> None:
     graph = GraphConvolution(5, 16, edge_layers=4, node_layers=2)
     pairwise = [module for module in graph.messages.edge if isinstance(module, nn.Linear)]
     assert 1 + len(pairwise) + 1 == 4  # the split first layer, those on pairs, the one after the mean

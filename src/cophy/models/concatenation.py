@@ -1,8 +1,12 @@
 """What replaces the graph convolution in the ablation `mlp` (paper Table 6 left)."""
 
+from collections.abc import Sequence
+
+import torch
 from torch import Tensor, nn
 
-from cophy.models.graph import Graph
+from cophy.models.affine import Affine
+from cophy.models.interactions import Step
 from cophy.models.mlp import mlp
 
 
@@ -13,7 +17,18 @@ class Concatenation(nn.Module):
         super().__init__()
         self.network = mlp(num_slots * input_dim, num_slots * hidden_dim, layers)
 
-    def forward(self, nodes: Tensor, graph: Graph) -> Tensor:
-        """(N, K, input) -> (N, K, hidden); absent slots count as zero."""
-        present = (graph.objects > 0).unsqueeze(-1)
-        return self.network((nodes * present).flatten(1)).unflatten(1, (nodes.shape[1], -1))
+    @staticmethod
+    def together(parts: Sequence[tuple["Concatenation", Affine]], presence: Tensor, constant: Tensor) -> Step:
+        """See `Interactions`; absent slots count as zero."""
+
+        def features(module: "Concatenation", nodes: Tensor) -> Tensor:
+            slots, graphs = presence.shape
+            seen = nodes.view(slots, graphs, -1) * presence[..., None]
+            found: Tensor = module.network(seen.transpose(0, 1).flatten(1))
+            return found.view(graphs, slots, -1).transpose(0, 1).flatten(0, 1)
+
+        def step(position: Tensor) -> list[Tensor]:
+            nodes = torch.cat([position, constant], dim=1)
+            return [readout(features(module, nodes)) for module, readout in parts]
+
+        return step

@@ -11,8 +11,9 @@ from torch import Tensor, nn
 
 from cophy.models.concatenation import Concatenation
 from cophy.models.confounder_estimator import ConfounderEstimator
+from cophy.models.convolution import GraphConvolution
 from cophy.models.decoders import Rollout, SingleStep
-from cophy.models.graph import GraphConvolution
+from cophy.models.interactions import Interactions
 from cophy.models.options import ConfounderSource, Decoding, Gating, Interaction
 from cophy.models.packing import pack, unpack
 from cophy.types import CONFOUNDERS, Batch, Prediction
@@ -43,7 +44,7 @@ class CoPhyNet(nn.Module):
         super().__init__()
         self.source, self.interaction = ConfounderSource(confounders), Interaction(interaction)
 
-        def interactions(input_dim: int) -> nn.Module:
+        def interactions(input_dim: int) -> Interactions:
             if self.interaction is Interaction.mlp:
                 assert slots is not None
                 return Concatenation(input_dim, hidden_dim, layers=edge_layers, num_slots=len(slots))

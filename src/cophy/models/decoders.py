@@ -1,7 +1,7 @@
 """From C and the confounders to D, gated by stability (paper Sec. 4.2).
 
 Nodes are [o, u] for the object itself too, as in the paper's own stability network (its equation for the displacement
-gives the neighbours u but not the object).
+gives the neighbours u but not the object). Inside, all objects of a batch are one axis, K·B, slots first.
 """
 
 from collections.abc import Callable
@@ -9,11 +9,13 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from cophy.models.graph import Graph, fully_connected
+from cophy.models.affine import affine
+from cophy.models.interactions import Interactions
 from cophy.models.options import Gating
+from cophy.models.recurrence import layers
 from cophy.types import Batch
 
-Interactions = Callable[[int], nn.Module]  # builds, for an input width, a module from nodes and graph to features
+Build = Callable[[int], Interactions]  # interactions of nodes of a given width
 
 
 def gate(stable_logit: Tensor, temperature: float) -> Tensor:
@@ -26,7 +28,7 @@ class Rollout(nn.Module):
 
     def __init__(
         self,
-        interactions: Interactions,
+        interactions: Build,
         *,
         input_dim: int,
         hidden_dim: int,
@@ -44,33 +46,31 @@ class Rollout(nn.Module):
 
     def forward(self, batch: Batch, confounders: Tensor, horizon: int) -> tuple[Tensor, Tensor]:
         """Positions (B, horizon, K, 3) and stability logits (B, horizon or 1, K)."""
-        graph = fully_connected(batch.presence)
-        position = batch.initial
-        hidden = [position.new_zeros(*position.shape[:2], self.hidden_dim) for _ in self.gru]
+        presence, constant, position = _slots_first(batch, confounders)
+        first, *others = layers(self.gru)
+        stability, dynamics = (self.stability, affine(self.stable_logit)), (self.dynamics, first.input)
+        chosen = [stability, dynamics] if self.gating is Gating.per_step else [dynamics]
+        interact = self.dynamics.together(chosen, presence, constant)
+        hidden = [position.new_zeros(len(position), self.hidden_dim) for _ in self.gru]
         positions, logits = [], []
-        for step in range(horizon):
-            nodes = torch.cat([position, confounders], dim=-1)
-            if step == 0 or self.gating is Gating.per_step:
-                logits.append(self.stable_logit(self.stability(nodes, graph)))
-            displacement, hidden = self.step(nodes, graph, hidden)
-            position = position + gate(logits[-1], self.temperature) * displacement
+        if self.gating is Gating.static:
+            logits += self.stability.together([stability], presence, constant)(position)
+        for _ in range(horizon):
+            *logit, inputs = interact(position)
+            logits += logit
+            hidden[0] = first(inputs, hidden[0])
+            for number, layer in enumerate(others, start=1):
+                hidden[number] = layer(layer.input(hidden[number - 1]), hidden[number])
+            position = position + gate(logits[-1], self.temperature) * self.displacement(hidden[-1])
             positions.append(position)
-        return torch.stack(positions, dim=1), torch.stack(logits, dim=1).squeeze(-1)
-
-    def step(self, nodes: Tensor, graph: Graph, hidden: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
-        """Displacement Δ_t (B, K, 3) before gating, and the next hidden states."""
-        features, states = self.dynamics(nodes, graph), []
-        for cell, state in zip(self.gru, hidden, strict=True):
-            features = cell(features.flatten(0, 1), state.flatten(0, 1)).view_as(state)
-            states.append(features)
-        return self.displacement(features), states
+        return _batch_first(torch.stack(positions), presence), _batch_first(torch.stack(logits), presence).squeeze(-1)
 
 
 class SingleStep(nn.Module):
     """All steps at once, without recurrence (paper Table 6 left): o_t = o_0 + σ((1 - s_t)/λ) Δ_t."""
 
     def __init__(
-        self, interactions: Interactions, *, input_dim: int, hidden_dim: int, temperature: float, horizon: int
+        self, interactions: Build, *, input_dim: int, hidden_dim: int, temperature: float, horizon: int
     ) -> None:
         super().__init__()
         self.temperature = temperature
@@ -81,9 +81,20 @@ class SingleStep(nn.Module):
 
     def forward(self, batch: Batch, confounders: Tensor, horizon: int) -> tuple[Tensor, Tensor]:
         """Positions (B, horizon, K, 3) and stability logits (B, horizon, K); `horizon` is the one it was built for."""
-        graph = fully_connected(batch.presence)
-        nodes = torch.cat([batch.initial, confounders], dim=-1)
-        logits = self.stable_logit(self.stability(nodes, graph))
-        displacement = self.displacement(self.dynamics(nodes, graph)).unflatten(-1, (horizon, 3))
-        position = batch.initial[:, :, None] + gate(logits, self.temperature)[..., None] * displacement
-        return position.transpose(1, 2), logits.transpose(1, 2)
+        presence, constant, position = _slots_first(batch, confounders)
+        parts = [(self.stability, affine(self.stable_logit)), (self.dynamics, affine(self.displacement))]
+        logits, displacement = self.dynamics.together(parts, presence, constant)(position)
+        moved = gate(logits, self.temperature)[..., None] * displacement.view(-1, horizon, 3)
+        positions = (position[:, None] + moved).transpose(0, 1)
+        return _batch_first(positions, presence), _batch_first(logits.t()[..., None], presence).squeeze(-1)
+
+
+def _slots_first(batch: Batch, confounders: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Presence (K, B), confounders (K·B, U) and positions in C (K·B, 3)."""
+    constant, position = (tensor.transpose(0, 1).flatten(0, 1) for tensor in (confounders, batch.initial))
+    return batch.presence.t(), constant, position
+
+
+def _batch_first(values: Tensor, presence: Tensor) -> Tensor:
+    """(T, K·B, F) -> (B, T, K, F)."""
+    return values.view(len(values), *presence.shape, -1).permute(2, 0, 1, 3)

@@ -1,4 +1,4 @@
-"""Message passing between the present objects, all pairs at once (paper Eq. 1)."""
+"""Message passing between the present objects, all pairs at once."""
 
 from itertools import chain
 from typing import NamedTuple
@@ -7,34 +7,26 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear
 
-from cophy.models.mlp import mlp
-
 
 class Graph(NamedTuple):
     """Which objects send to which, as weights of the messages.
 
     pairs: (N, K, K) receiver × sender, 0 where nothing is sent; received: (N, K, 1), the weights an object receives in
-    total; objects: (N, K), 1/(number of objects) for every present object, 0 for absent ones.
+    total.
     """
 
     pairs: Tensor
     received: Tensor
-    objects: Tensor
-
-
-def fully_connected(presence: Tensor) -> Graph:
-    """All objects present in (N, K) masks send to all others; an object receives the mean (paper Eq. 1)."""
-    pairs = _pairs(presence).to(torch.get_default_dtype())
-    weights = pairs / pairs.sum(dim=2, keepdim=True).clamp(min=1)
-    return _graph(weights, presence)
 
 
 def neighbours(presence: Tensor, position: Tensor, radius: float | None) -> Graph:
     """Objects closer than `radius` metres (None: all) send to each other; an object receives the sum."""
-    pairs = _pairs(presence)
+    others = ~torch.eye(presence.shape[1], dtype=torch.bool, device=presence.device)
+    pairs = presence[:, :, None] & presence[:, None, :] & others
     if radius is not None:
         pairs = pairs & ((position[:, :, None] - position[:, None, :]).square().sum(dim=-1) < radius**2)
-    return _graph(pairs.to(position.dtype), presence)
+    weights = pairs.to(position.dtype)
+    return Graph(weights, weights.sum(dim=2, keepdim=True))
 
 
 class Messages(nn.Module):
@@ -58,29 +50,3 @@ class Messages(nn.Module):
         pairs = self.edge(self.receiver(nodes)[:, :, None] + self.sender(nodes)[:, None, :])
         summed = torch.einsum("nrs,nrsh->nrh", graph.pairs, pairs)
         return linear(summed, self.message.weight) + graph.received * self.message.bias
-
-
-class GraphConvolution(nn.Module):
-    """õ^k = g(o^k, e^k, e) with e^k the mean of f(o^k, o^j) over the others j, and e the mean of e^k over objects."""
-
-    def __init__(self, input_dim: int, hidden_dim: int, *, edge_layers: int, node_layers: int) -> None:
-        super().__init__()
-        self.messages = Messages(input_dim, hidden_dim, layers=edge_layers)
-        self.node = mlp(input_dim + 2 * hidden_dim, hidden_dim, node_layers)
-
-    def forward(self, nodes: Tensor, graph: Graph) -> Tensor:
-        """(N, K, input) -> (N, K, hidden)."""
-        received = self.messages(nodes, graph)
-        everything = torch.einsum("nk,nkh->nh", graph.objects, received)
-        return self.node(torch.cat([nodes, received, everything[:, None].expand_as(received)], dim=-1))
-
-
-def _pairs(presence: Tensor) -> Tensor:
-    others = ~torch.eye(presence.shape[1], dtype=torch.bool, device=presence.device)
-    return presence[:, :, None] & presence[:, None, :] & others
-
-
-def _graph(pairs: Tensor, presence: Tensor) -> Graph:
-    present = presence.to(pairs.dtype)
-    objects = present / present.sum(dim=1, keepdim=True).clamp(min=1)
-    return Graph(pairs=pairs, received=pairs.sum(dim=2, keepdim=True), objects=objects)
