@@ -48,6 +48,7 @@ class _Together:
 
         numbers = torch.arange(slots, device=presence.device)
         self.senders = (numbers + numbers[1:, None]) % slots  # (K-1, K): of every receiver, all others
+        self.pairs = (numbers - numbers[1:, None]) % slots + slots * numbers[:-1, None]  # (K-1, K): of every sender
         present = presence.to(constant.dtype)
         sent = present[self.senders] * present
         self.mean = (sent / sent.sum(dim=0).clamp(min=1)).flatten(1)[..., None]  # over the senders of a receiver
@@ -73,7 +74,7 @@ class _Together:
         slots, graphs, count, hidden_dim = self.shape
         first = torch.addmm(self.constant, position, self.position).view(slots, graphs, 3, count, hidden_dim)
         receiver, sender, own = first.unbind(dim=2)
-        pairs: Tensor = _Pairs.apply(receiver, sender, self.senders)  # type: ignore[no-untyped-call]
+        pairs: Tensor = _Pairs.apply(receiver, sender, self.senders, self.pairs)  # type: ignore[no-untyped-call]
         edges = pairs.view(-1, count, hidden_dim).transpose(0, 1)
         for weight, bias in self.edge:
             edges = torch.baddbmm(bias, edges, weight).relu_()
@@ -87,28 +88,25 @@ class _Together:
 
 
 class _Pairs(torch.autograd.Function):
-    """ReLU of the sum of a receiver's and a sender's half, (K, ...) each -> (K·(K-1), ...), by `senders` (K-1, K).
+    """ReLU of the sum of a receiver's and a sender's half, (K, ...) each -> (K·(K-1), ...).
 
-    That sender j is, in row d, the one of receiver j - d spares the derivative a scatter.
+    senders: (K-1, K), of every receiver; pairs: (K-1, K), those of every sender, which spare the derivative a scatter.
     """
 
     @staticmethod
-    def forward(ctx: Any, receiver: Tensor, sender: Tensor, senders: Tensor) -> Tensor:
-        pairs = sender.index_select(0, senders.flatten())
-        pairs.view(*senders.shape, *sender.shape[1:]).add_(receiver)
-        ctx.save_for_backward(pairs.relu_(), senders)
-        return pairs
+    def forward(ctx: Any, receiver: Tensor, sender: Tensor, senders: Tensor, pairs: Tensor) -> Tensor:
+        summed = sender.index_select(0, senders.flatten())
+        summed.view(*senders.shape, *sender.shape[1:]).add_(receiver)
+        ctx.save_for_backward(summed.relu_(), pairs)
+        return summed
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, None]:
-        pairs, senders = ctx.saved_tensors
-        rows = torch.arange(len(senders), device=grad.device)[:, None] * senders.shape[1]
-        grad = torch.where(pairs > 0, grad, 0.0)
-        of_sender = grad.index_select(0, (rows + senders.argsort(dim=1)).flatten())
-        of_receiver, of_sender = (
-            tensor.view(*senders.shape, *tensor.shape[1:]).sum(dim=0) for tensor in (grad, of_sender)
-        )
-        return of_receiver, of_sender, None
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, None, None]:
+        summed, pairs = ctx.saved_tensors
+        grad = torch.ops.aten.threshold_backward(grad, summed, 0)
+        by_receiver, by_sender = grad, grad.index_select(0, pairs.flatten())
+        shape = *pairs.shape, *grad.shape[1:]
+        return by_receiver.view(shape).sum(dim=0), by_sender.view(shape).sum(dim=0), None, None
 
 
 def _linear(network: nn.Sequential) -> list[nn.Linear]:

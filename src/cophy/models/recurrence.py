@@ -51,10 +51,11 @@ class _Gates(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, inputs: Tensor, states: Tensor, hidden: Tensor) -> Tensor:
         width = hidden.shape[-1]
-        gates = torch.add(inputs[:, : 2 * width], states[:, : 2 * width]).sigmoid_()
-        reset, update = gates.chunk(2, dim=-1)
-        recurrent = states[:, 2 * width :]
-        new = torch.addcmul(inputs[:, 2 * width :], reset, recurrent).mul_(2).sigmoid_().mul_(2).sub_(1)
+        gates_in, new_in = inputs.split_with_sizes([2 * width, width], dim=1)
+        gates_of_state, recurrent = states.split_with_sizes([2 * width, width], dim=1)
+        gates = torch.add(gates_in, gates_of_state).sigmoid_()
+        reset, update = gates.chunk(2, dim=1)
+        new = torch.addcmul(new_in, reset, recurrent).mul_(2).sigmoid_().mul_(2).sub_(1)
         ctx.save_for_backward(gates, recurrent, new, hidden)
         return torch.lerp(new, hidden, update)
 
@@ -62,15 +63,16 @@ class _Gates(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         gates, recurrent, new, hidden = ctx.saved_tensors
         width = hidden.shape[-1]
-        reset, update = gates.chunk(2, dim=-1)
+        reset, update = gates.chunk(2, dim=1)
         grad_inputs = grad.new_empty(len(grad), 3 * width)
-        grad_reset, grad_update, grad_new = grad_inputs.chunk(3, dim=-1)
+        grad_gates, grad_new = grad_inputs.split_with_sizes([2 * width, width], dim=1)
+        grad_reset, grad_update = grad_gates.chunk(2, dim=1)
         grad_hidden = grad * update
         torch.sub(grad, grad_hidden, out=grad_new)
         grad_new.addcmul_(grad_new * new, new, value=-1)
         torch.mul(grad_new, recurrent, out=grad_reset)
         torch.mul(grad, hidden - new, out=grad_update)
-        grad_inputs[:, : 2 * width].mul_(gates).mul_(1 - gates)
+        torch.ops.aten.sigmoid_backward.grad_input(grad_gates, gates, grad_input=grad_gates)
         grad_states = grad_inputs.clone()
         grad_states[:, 2 * width :].mul_(reset)
         return grad_inputs, grad_states, grad_hidden
