@@ -58,6 +58,12 @@ def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: P
     assert {"val/trajectories", "val/error_over_time"} <= set(curves.Tags()["images"])
 
 
+def test_a_fast_dev_run_takes_a_step_and_leaves_no_results(tiny_data: Path, tmp_path: Path) -> None:
+    train("trainer.fast_dev_run=true", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    assert not (tmp_path / "metrics.json").exists()
+    assert not (tmp_path / "checkpoints").exists()
+
+
 def test_the_same_seed_gives_the_same_numbers_and_another_does_not(tiny_data: Path, tmp_path: Path) -> None:
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         train(f"seed={seed}", f"hydra.run.dir={tmp_path / name}", data=tiny_data)

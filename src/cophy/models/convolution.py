@@ -59,7 +59,7 @@ class _Together:
         own, *of_received = first.split_with_sizes([input_dim, hidden_dim, hidden_dim], dim=2)
         last = torch.stack([m.message.weight for m in messages])
         last_bias = torch.stack([m.message.bias for m in messages])[..., None]
-        self.received = torch.cat([weight @ last for weight in of_received], dim=1).transpose(1, 2)  # (G, H, 2H)
+        self.received, self.received_by_all = ((weight @ last).transpose(1, 2) for weight in of_received)  # (G, H, H)
         bias, bias_of_all = ((weight @ last_bias).flatten() for weight in of_received)
         share = (receives * self.mean_of_all).sum(dim=0)
         own_bias = torch.cat([layers[0].bias for layers in nodes]) + receives * bias + share * bias_of_all
@@ -78,10 +78,11 @@ class _Together:
         edges = pairs.view(-1, count, hidden_dim).transpose(0, 1)
         for weight, bias in self.edge:
             edges = torch.baddbmm(bias, edges, weight).relu_()
-        summed = (edges.reshape(count, slots - 1, slots * graphs, hidden_dim) * self.mean).sum(dim=1)
-        received, of_all = torch.bmm(summed, self.received).view(count, slots, graphs, 2, hidden_dim).unbind(dim=3)
-        everything = (of_all * self.mean_of_all).sum(dim=1, keepdim=True)
-        nodes = (own.permute(2, 0, 1, 3) + received + everything).relu_().view(count, slots * graphs, hidden_dim)
+        received = (edges.reshape(count, slots - 1, slots * graphs, hidden_dim) * self.mean).sum(dim=1)
+        of_all = (received.view(count, slots, graphs, hidden_dim) * self.mean_of_all).sum(dim=1)
+        everything = torch.bmm(of_all, self.received_by_all).unsqueeze(1)
+        nodes = torch.baddbmm(own.flatten(0, 1).transpose(0, 1), received, self.received)
+        nodes = (nodes.view(count, slots, graphs, hidden_dim) + everything).relu_().view(count, -1, hidden_dim)
         for weight, bias in self.node:
             nodes = torch.baddbmm(bias, nodes, weight).relu_()
         return [readout(features) for readout, features in zip(self.readouts, nodes.unbind(), strict=True)]

@@ -4,9 +4,6 @@ from operator import itemgetter
 
 import numpy as np
 import torch
-from sklearn.linear_model import LogisticRegression
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 from torch import Tensor, nn
 
 from cophy.training.metrics import over_objects
@@ -33,6 +30,10 @@ def probe(train: tuple[Tensor, Batch], test: tuple[Tensor, Batch]) -> dict[str, 
     Logistic regressions, fitted on the estimates of the training split. `probe_chance` always answers the most
     frequent combination of the training split.
     """
+    from sklearn.linear_model import LogisticRegression  # half a second to import, that no training waits for
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
     fitted, tested = (u[batch.observed_presence].numpy() for u, batch in (train, test))
     seen, asked = (_classes(batch) for _, batch in (train, test))
 

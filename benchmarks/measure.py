@@ -1,0 +1,54 @@
+"""How the benchmarks measure: CPU time, in pairs within one run, because other users of a machine slow both of a pair alike."""
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+ROOT = Path(__file__).parents[1]
+REPEATS = 5
+NUM_OBJECTS = {"blocktower": 3, "balls": 4, "collision": 2}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A ratio, once per pair of runs. reach: what it shall be at least (≥) or at most (≤), or nothing."""
+
+    what: str
+    unit: str
+    ratios: list[float]
+    reach: str = ""
+
+    @property
+    def median(self) -> float:
+        """What is reported."""
+        return statistics.median(self.ratios)
+
+
+def cpu_seconds(run: Callable[[], object]) -> float:
+    """CPU time of this process in one call."""
+    start = time.process_time()
+    run()
+    return time.process_time() - start
+
+
+def paired(first: Callable[[], object], second: Callable[[], object]) -> list[float]:
+    """CPU time of `first` ÷ that of `second`, REPEATS times in turn, after one of each that does not count."""
+    first(), second()
+    return [cpu_seconds(first) / cpu_seconds(second) for _ in range(REPEATS)]
+
+
+def composed(name: str, *overrides: str) -> Any:
+    """A configuration as the command line composes it."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        return compose(name, list(overrides))
+
+
+def settings(name: str, *overrides: str) -> Any:
+    """The same, typed."""
+    return OmegaConf.to_object(composed(name, *overrides))

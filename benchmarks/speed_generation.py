@@ -1,0 +1,147 @@
+"""Simulation, search, rendering, and what a second worker brings; and the hours that `size=paper` takes."""
+
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from measure import NUM_OBJECTS, REPEATS, ROOT, Measured, cpu_seconds, settings
+
+from cophy.dataset.images import Images
+from cophy.dataset.spec import DatasetSpec, Size
+from cophy.dataset.states import States
+from cophy.scenario import Scenario, Simulator
+from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
+
+SIMULATIONS_AT_ONCE = 5
+PAIRS_AT_ONCE = 12
+RESOLUTIONS = (224, 448)
+
+
+def measure() -> list[Measured]:
+    """All ratios of generation."""
+    rows = []
+    with Simulator() as simulator:
+        for name, count in NUM_OBJECTS.items():
+            scenario = settings("generate", f"scenario={name}").scenario
+            reach = "≤ 1.15" if name == "blocktower" else "≤ 2.0"
+            rows += [
+                Measured(
+                    f"simulation, {name}",
+                    "÷ its bare stepSimulation calls",
+                    simulation(scenario, count, simulator),
+                    "≤ 1.15",
+                ),
+                Measured(
+                    f"search, {name}", "÷ simulating what was accepted", search(scenario, count, simulator), reach
+                ),
+            ]
+    rows += [
+        Measured(f"rendering, {name}", "÷ its bare getCameraImage calls", rendering(name), "≤ 1.2")
+        for name in NUM_OBJECTS
+    ]
+    rows.append(Measured("2 workers, towers", "throughput ÷ that of 1, from CPU times", second_worker(), "≥ 1.9"))
+    return rows
+
+
+def simulation(scenario: Scenario, num_objects: int, simulator: Simulator) -> list[float]:
+    """Overhead of making the bodies and reading their states."""
+    experiment, _ = scenario.twin_pair(num_objects, seed=0, pair=0, simulator=simulator)
+    clock = scenario.clock
+    steps = (clock.num_states - 1) * scenario.solver.step_rate_hz // clock.state_rate_hz
+
+    def bare() -> float:
+        simulator._reset(experiment.scene, scenario.solver)
+        for body in experiment.scene.bodies:
+            simulator._add(body, scenario.solver)
+        return cpu_seconds(lambda: [simulator._bullet.stepSimulation(simulator._client) for _ in range(steps)])
+
+    ratios = []
+    for _ in range(REPEATS):
+        whole = [
+            cpu_seconds(lambda: scenario.simulate(simulator, experiment.scene)) for _ in range(SIMULATIONS_AT_ONCE)
+        ]
+        ratios.append(sum(whole) / sum(bare() for _ in range(SIMULATIONS_AT_ONCE)))
+    return ratios
+
+
+def search(scenario: Scenario, num_objects: int, simulator: Simulator) -> list[float]:
+    """Overhead of looking for experiments; other twin pairs every time."""
+    ratios = []
+    for repeat in range(REPEATS):
+        start, found = time.process_time(), []
+        for pair in range(PAIRS_AT_ONCE * repeat, PAIRS_AT_ONCE * (repeat + 1)):
+            found += scenario.twin_pair(num_objects, seed=0, pair=pair, simulator=simulator)
+        whole = time.process_time() - start
+        scenes = [scene for e in found for scene in (e.scene, e.do_operation.apply(e.scene))]
+        again = cpu_seconds(lambda scenes=scenes: [scenario.simulate(simulator, scene) for scene in scenes])
+        ratios.append(whole / again)
+    return ratios
+
+
+def rendering(name: str) -> list[float]:
+    """Overhead of stages, bodies, conversion, compression and boxes, at 448 × 448 with all three modalities."""
+    with tempfile.TemporaryDirectory() as data_dir:
+        states = _states(name, NUM_OBJECTS[name], 2 * REPEATS, Path(data_dir))
+        images = Images(states, RenderSettings(list(MODALITIES), 448, Backend.tiny))
+        return [seconds / camera for seconds, camera in (_draw(images, shard) for shard in range(REPEATS))]
+
+
+def second_worker() -> list[float]:
+    """Twice the CPU time of generation with one worker ÷ that with two: their throughputs, had each worker a core."""
+    return [2 * _generating(1) / _generating(2) for _ in range(REPEATS)]
+
+
+def _generating(workers: int) -> float:
+    """CPU-s of generate.py and its workers for 160 towers in four shards."""
+    size = ["size.experiments_per_shard=40", "size.num_experiments.blocktower.'3'=160"]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    with tempfile.TemporaryDirectory() as data_dir:
+        command = [sys.executable, "src/generate.py", "num_objects=[3]", f"workers={workers}", f"data_dir={data_dir}"]
+        subprocess.run([*command, "size=tiny", *size], cwd=ROOT, check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def _states(name: str, num_objects: int, num_experiments: int, data_dir: Path) -> States:
+    """A finished dataset with two experiments to a shard."""
+    scenario = settings("generate", f"scenario={name}").scenario
+    size = Size("bench", 2, {name: {str(num_objects): num_experiments}})
+    states = States(DatasetSpec(scenario, num_objects, size, 0), data_dir)
+    states.directory.mkdir(parents=True)
+    for shard in range(states.spec.num_shards):
+        states.write(states.path(shard), shard, lambda done: None)
+    states.write_manifest()
+    return states
+
+
+def _draw(images: Images, shard: int) -> tuple[float, float]:
+    """CPU-s of drawing and storing a shard, and of these inside PyBullet's camera."""
+    images.directory.mkdir(exist_ok=True)
+    start = time.process_time()
+    took = images.write(images.path(shard), shard, lambda done: None)
+    return time.process_time() - start, took["CPU-s inside PyBullet's camera"]
+
+
+def hours(num_pairs: int) -> list[Sequence[str]]:
+    """CPU-hours of `size=paper`, from `num_pairs` twin pairs of every dataset: states, then pictures of each kind."""
+    counts = settings("generate", "size=paper").size.num_experiments
+    kinds = [RenderSettings(list(m), r, Backend.tiny) for r in RESOLUTIONS for m in (("rgb",), MODALITIES)]
+    rows = []
+    for name, per_number in counts.items():
+        for num_objects, count in per_number.items():
+            with tempfile.TemporaryDirectory() as data_dir:
+                start = time.process_time()
+                states = _states(name, int(num_objects), 2 * num_pairs, Path(data_dir))
+                each = [(time.process_time() - start) / (2 * num_pairs)]
+                each += [
+                    float(np.mean([_draw(Images(states, kind), shard)[0] / 2 for shard in range(2)])) for kind in kinds
+                ]
+            rows.append(
+                (name, num_objects, str(count), *(f"{s:.3g}" for s in each), *(f"{count * s / 3600:.1f}" for s in each))
+            )
+    return rows

@@ -1,0 +1,29 @@
+"""CPU-seconds from the command line to help, and to the end of a first training, validation and test step."""
+
+import resource
+import subprocess
+import sys
+import tempfile
+
+from measure import REPEATS, ROOT, Measured
+
+
+def measure() -> list[Measured]:
+    """Seconds, not ratios: start-up has nothing to be held against."""
+    with tempfile.TemporaryDirectory() as directory:
+        places = [f"data_dir={directory}/data", f"hydra.run.dir={directory}/run", "size=tiny"]
+        _cpu_seconds("generate.py", *places, "num_objects=[3]")
+        first_step = [_cpu_seconds("train.py", *places, "trainer.fast_dev_run=true") for _ in range(REPEATS)]
+    return [
+        Measured(
+            "python src/train.py --help", "CPU-s", [_cpu_seconds("train.py", "--help") for _ in range(REPEATS)], "≤ 3"
+        ),
+        Measured("first step of training, validation, test", "CPU-s", first_step, "≤ 10"),
+    ]
+
+
+def _cpu_seconds(script: str, *arguments: str) -> float:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, f"src/{script}", *arguments], cwd=ROOT, check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
