@@ -47,6 +47,30 @@ def test_accuracies_are_percent_and_higher_is_better() -> None:
     assert cells["Copy C"] == "50.0 [49.0, 52.0] / 71.0"
 
 
+def test_the_share_of_the_possible_gain_is_between_the_oracles() -> None:
+    models = {"oracle_feedforward": 0.3, "oracle_counterfactual": 0.1, "cophynet": 0.15, "in": 0.3, "copy_c": 0.4}
+    filled = fill(TABLES["blocktower"], pd.DataFrame([measured("mse", mse, model) for model, mse in models.items()]))
+    shares = filled.shares()
+    assert shares is not None
+    assert shares.loc["3→3", ["CoPhyNet", "IN", "Copy C", "NPE"]].tolist() == ["75%", "0%", "-50%", "—"]
+    assert not {"Oracle without AB", "Oracle with AB"} & set(shares.columns)
+    assert not filled.values.set_index(["row", "column"])["best"]["3→3", "Oracle with AB"]  # it does not compete
+    assert "75%" in markdown(filled)
+    without = pd.DataFrame([measured("mse", 0.2, "cophynet")])
+    assert fill(TABLES["blocktower"], without).shares() is None
+
+
+def test_the_share_of_an_accuracy_grows_with_it() -> None:
+    metric = "sequence_stability_accuracy"
+    models = {"oracle_feedforward": 0.7, "oracle_counterfactual": 0.9, "cophynet": 0.8}
+    filled = fill(
+        TABLES["stability"], pd.DataFrame([measured(metric, value, model) for model, value in models.items()])
+    )
+    shares = filled.shares()
+    assert shares is not None
+    assert shares.loc["CoPhyNet", "3→3"] == "50%"
+
+
 def test_seeds_are_averaged_and_a_failed_one_is_counted() -> None:
     runs = pd.DataFrame([measured("mse", value, "cophynet", seed=seed) for seed, value in enumerate((0.1, 0.2, 0.3))])
     failed = pd.DataFrame([run("cophynet", seed=3, error="boom"), run("npe", error="boom")])
