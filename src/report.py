@@ -58,13 +58,13 @@ def main(cfg: DictConfig) -> None:
             for name in finished["scenario"].unique()
         }
         drawn |= dict(figures.of_predictions(finished, scenarios))
-        broken_down = by_difficulty(finished, settings, scenarios)
-        if len(broken_down):
-            write_atomically(directory / "difficulty.csv", broken_down.to_csv(index=False).encode())
-            write_atomically(directory / "difficulty.md", difficulty.page(broken_down).encode())
-            drawn |= dict(difficulty.draw(broken_down))
-        if settings.source.is_generated:
+        if settings.source.is_generated:  # twins, margins and balance are those of generated data
             drawn |= stability_distribution(finished, settings)
+            broken_down = by_difficulty(finished, settings, scenarios)
+            if len(broken_down):
+                write_atomically(directory / "difficulty.csv", broken_down.to_csv(index=False).encode())
+                write_atomically(directory / "difficulty.md", difficulty.page(broken_down).encode())
+                drawn |= dict(difficulty.draw(broken_down))
     for name, figure in drawn.items():
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=110)
