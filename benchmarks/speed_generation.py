@@ -8,7 +8,6 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from measure import NUM_OBJECTS, REPEATS, ROOT, Measured, cpu_seconds, settings
 
 from cophy.dataset.images import Images
@@ -84,10 +83,10 @@ def search(scenario: Scenario, num_objects: int, simulator: Simulator) -> list[f
 
 
 def rendering(name: str) -> list[float]:
-    """Overhead of stages, bodies, conversion, compression and boxes, at 448 × 448 with all three modalities."""
+    """Overhead of stages, bodies, conversion, compression and boxes, at 224 × 224 with all three modalities."""
     with tempfile.TemporaryDirectory() as data_dir:
         states = _states(name, NUM_OBJECTS[name], 2 * REPEATS, Path(data_dir))
-        images = Images(states, RenderSettings(list(MODALITIES), 448, Backend.tiny))
+        images = Images(states, RenderSettings(list(MODALITIES), RESOLUTIONS[0], Backend.tiny))
         return [seconds / camera for seconds, camera in (_draw(images, shard) for shard in range(REPEATS))]
 
 
@@ -98,7 +97,7 @@ def second_worker() -> list[float]:
 
 def _generating(workers: int) -> float:
     """CPU-s of generate.py and its workers for 160 towers in four shards."""
-    size = ["size.experiments_per_shard=40", "size.num_experiments.blocktower.'3'=160"]
+    size = ["size.experiments_per_shard=40", "size.num_experiments.blocktower.3=160"]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as data_dir:
         command = [sys.executable, "src/generate.py", "num_objects=[3]", f"workers={workers}", f"data_dir={data_dir}"]
@@ -128,7 +127,10 @@ def _draw(images: Images, shard: int) -> tuple[float, float]:
 
 
 def hours(num_pairs: int) -> list[Sequence[str]]:
-    """CPU-hours of `size=paper`, from `num_pairs` twin pairs of every dataset: states, then pictures of each kind."""
+    """CPU-s per experiment and CPU-hours of `size=paper`: states, from `num_pairs` twin pairs each, and pictures of each kind.
+
+    A picture costs the same whatever the number of objects, so these are drawn for one number per scenario.
+    """
     counts = settings("generate", "size=paper").size.num_experiments
     kinds = [RenderSettings(list(m), r, Backend.tiny) for r in RESOLUTIONS for m in (("rgb",), MODALITIES)]
     rows = []
@@ -138,10 +140,10 @@ def hours(num_pairs: int) -> list[Sequence[str]]:
                 start = time.process_time()
                 states = _states(name, int(num_objects), 2 * num_pairs, Path(data_dir))
                 each = [(time.process_time() - start) / (2 * num_pairs)]
-                each += [
-                    float(np.mean([_draw(Images(states, kind), shard)[0] / 2 for shard in range(2)])) for kind in kinds
-                ]
-            rows.append(
-                (name, num_objects, str(count), *(f"{s:.3g}" for s in each), *(f"{count * s / 3600:.1f}" for s in each))
-            )
+                if int(num_objects) == NUM_OBJECTS[name]:
+                    each += [_draw(Images(states, kind), 0)[0] / 2 for kind in kinds]
+            hours_each = [count * seconds / 3600 for seconds in each]
+            blanks = [""] * (1 + len(kinds) - len(each))
+            cells = [[f"{value:.3g}" for value in values] + blanks for values in (each, hours_each)]
+            rows.append((name, num_objects, str(count), *cells[0], *cells[1]))
     return rows

@@ -1,6 +1,8 @@
 """CoPhyNet's training step against the plain loop of the same maths (reference.py), and what Lightning adds to it."""
 
+import logging
 import tempfile
+import warnings
 from collections.abc import Callable
 
 import lightning as L
@@ -76,6 +78,8 @@ def whole_epochs(batch_size: int) -> list[float]:
     data, step = CounterfactualDataset(random_batch(2800, 4, 3)), training_step(model, model)
     symmetries = symmetries_for(chosen.split.train, chosen.scenario)
     module = PredictionModule(model, chosen.training, chosen.scenario, symmetries, config={})
+    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+    warnings.filterwarnings("ignore", "You defined a `validation_step`")
     module.setup = lambda stage: None  # type: ignore[method-assign]
 
     def lightning() -> None:

@@ -77,4 +77,6 @@ def _muted(rng: np.random.Generator, brightness: tuple[float, float]) -> np.ndar
 
 def _colored(blend: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     palette = np.rint(low + np.linspace(0, 1, 256)[:, None] * (high - low)).astype(np.uint8)
-    return palette[np.clip(255 * blend, 0, 255).astype(np.uint8)]
+    shade = 255 * blend
+    index = np.clip(shade, 0, 255, out=shade).astype(np.uint8)
+    return cv2.merge([cv2.LUT(index, channel) for channel in palette.T.copy()])
