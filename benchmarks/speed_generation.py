@@ -16,7 +16,7 @@ from cophy.dataset.states import States
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
 
-SIMULATIONS_AT_ONCE = 5
+SIMULATIONS_AT_ONCE = 20
 PAIRS_AT_ONCE = 12
 RESOLUTIONS = (224, 448)
 
@@ -54,17 +54,17 @@ def simulation(scenario: Scenario, num_objects: int, simulator: Simulator) -> li
     steps = (clock.num_states - 1) * scenario.solver.step_rate_hz // clock.state_rate_hz
 
     def bare() -> float:
-        simulator._reset(experiment.scene, scenario.solver)
-        for body in experiment.scene.bodies:
-            simulator._add(body, scenario.solver)
+        simulator._reset(experiment.scene, scenario.solver, scenario.solver.step_rate_hz)
+        simulator._add_all(experiment.scene, scenario.solver)
         return cpu_seconds(lambda: [simulator._bullet.stepSimulation(simulator._client) for _ in range(steps)])
+
+    def whole() -> float:
+        return cpu_seconds(lambda: scenario.simulate(simulator, experiment.scene))
 
     ratios = []
     for _ in range(REPEATS):
-        whole = [
-            cpu_seconds(lambda: scenario.simulate(simulator, experiment.scene)) for _ in range(SIMULATIONS_AT_ONCE)
-        ]
-        ratios.append(sum(whole) / sum(bare() for _ in range(SIMULATIONS_AT_ONCE)))
+        pairs = [(whole(), bare()) for _ in range(SIMULATIONS_AT_ONCE)]
+        ratios.append(sum(w for w, _ in pairs) / sum(b for _, b in pairs))
     return ratios
 
 

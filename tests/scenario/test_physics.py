@@ -111,6 +111,21 @@ def test_the_same_scene_gives_the_same_bytes_whatever_was_simulated_before(simul
         assert run(fresh, floor(), ball, cylinder).states.tobytes() == first
 
 
+@pytest.mark.parametrize(("step_rate_hz", "steps_at_once"), [(240, 4), (180, 1), (640, 32), (260, 1)])
+def test_several_steps_in_a_call_are_the_bytes_of_single_steps(
+    simulator: Simulator, monkeypatch: pytest.MonkeyPatch, step_rate_hz: int, steps_at_once: int
+) -> None:
+    solver = Solver(step_rate_hz, 50, elastic_impacts=True)
+    bodies = (floor(), *walls(3.0, 2.0), sphere(0, -2.0, speed=7.0), sphere(1, 0.3, speed=1.0, friction=0.5))
+    step, calls = simulator._bullet.stepSimulation, list[int]()
+    monkeypatch.setattr(simulator._bullet, "stepSimulation", lambda client: (calls.append(1), step(client)))
+    whole = run(simulator, *bodies, solver=solver).states
+    assert len(calls) * steps_at_once == (CLOCK.num_states - 1) * step_rate_hz // CLOCK.state_rate_hz
+    every_step = Clock(CLOCK.num_frames, CLOCK.frame_rate_hz, step_rate_hz)  # a state after each step: no two in a call
+    single = simulator.simulate(Scene(bodies, (0.0, 0.0, -G)), solver=solver, clock=every_step, num_slots=3).states
+    assert whole.tobytes() == single[:: step_rate_hz // CLOCK.state_rate_hz].tobytes()
+
+
 def test_two_simulators_do_not_disturb_each_other(simulator: Simulator) -> None:
     with Simulator() as other:
         alone = run(simulator, floor(), sphere(0, 0.0, speed=1.0)).states

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import root
 
 from cophy.scenario.physics import Clock, Simulator, Solver
 from cophy.scenario.scene import Scene
@@ -69,6 +68,8 @@ class VelocityFit:
         return np.asarray(velocity)
 
     def _solved(self, scene: Scene, start: np.ndarray) -> np.ndarray:
+        from scipy.optimize import root  # here: half a second that every command would spend at its start
+
         def difference(flat: np.ndarray) -> np.ndarray:
             return self._difference(scene, flat.reshape(start.shape), 1).ravel()
 

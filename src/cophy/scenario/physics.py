@@ -69,6 +69,7 @@ class Simulator:
         self.num_simulations = 0
         self._launched: Scene | None = None
         self._ids: list[int] = []
+        self._calls = 0
         self._bullet = import_pybullet()
         self._client = self._bullet.connect(self._bullet.DIRECT)
 
@@ -87,22 +88,18 @@ class Simulator:
                 f"step_rate_hz={solver.step_rate_hz} is not a multiple of state_rate_hz={clock.state_rate_hz}"
             )
         bullet, client = self._bullet, self._client
-        self._reset(scene, solver)
+        calls = self._reset(scene, solver, clock.state_rate_hz)
         self.num_simulations += 1
-        added = [(body.slot, self._add(body, solver)) for body in scene.bodies]
-        ids = {slot: body_id for slot, body_id in added if slot is not None}
-        states = np.zeros((clock.num_states, num_slots, 13))
-        steps = range(solver.step_rate_hz // clock.state_rate_hz)
-        for time in range(clock.num_states):
-            for slot, body_id in ids.items():
-                position, quaternion = bullet.getBasePositionAndOrientation(body_id, client)
-                linear, angular = bullet.getBaseVelocity(body_id, client)
-                states[time, slot] = (*position, *quaternion, *linear, *angular)
-            if time + 1 < clock.num_states:
-                for _ in steps:
-                    bullet.stepSimulation(client)
-        presence = np.zeros(num_slots, dtype=bool)
-        presence[list(ids)] = True
+        ids = self._add_all(scene, solver)
+        sampled = [_states(bullet, client, ids)]
+        for _ in range(clock.num_states - 1):
+            for _ in range(calls):
+                bullet.stepSimulation(client)
+            sampled.append(_states(bullet, client, ids))
+        slots = [body.slot for body in scene.objects]
+        states, presence = np.zeros((clock.num_states, num_slots, 13)), np.zeros(num_slots, dtype=bool)
+        states[:, slots] = np.array(sampled).reshape(clock.num_states, len(slots), 13)
+        presence[slots] = True
         return Trajectory(states, presence)
 
     def launch(
@@ -115,15 +112,15 @@ class Simulator:
         """
         bullet, client = self._bullet, self._client
         if self._launched != scene:
-            self._reset(scene, solver)
-            self._ids = [i for body in scene.bodies for i in [self._add(body, solver)] if body.slot is not None]
+            self._calls = self._reset(scene, solver, frame_rate_hz)
+            self._ids = self._add_all(scene, solver)
             self._launched = scene
         for body_id, body, (x, y) in zip(self._ids, scene.objects, velocity.tolist(), strict=True):
             bullet.resetBasePositionAndOrientation(body_id, body.position, body.quaternion_xyzw, client)
             bullet.resetBaseVelocity(body_id, [x, y, 0.0], [0.0, 0.0, 0.0], physicsClientId=client)
         states = np.zeros((frames, len(self._ids), 6))
         for frame in range(frames):
-            for _ in range(solver.step_rate_hz // frame_rate_hz):
+            for _ in range(self._calls):
                 bullet.stepSimulation(client)
             for index, body_id in enumerate(self._ids):
                 position, _ = bullet.getBasePositionAndOrientation(body_id, client)
@@ -131,13 +128,21 @@ class Simulator:
                 states[frame, index] = (*position, *linear)
         return states
 
-    def _reset(self, scene: Scene, solver: Solver) -> None:
+    def _reset(self, scene: Scene, solver: Solver, sample_rate_hz: int) -> int:
+        """Empty the world; returns how many calls of stepSimulation lead from one sample to the next.
+
+        A call makes several steps, which spares their overhead: as many as the largest power of two that divides a sample's steps, because
+        then Bullet gets the length of a step back without rounding, and the bytes are those of single steps.
+        """
         bullet, client = self._bullet, self._client
         self._launched = None
+        steps = solver.step_rate_hz // sample_rate_hz
+        at_once = steps & -steps
         bullet.resetSimulation(physicsClientId=client)
         bullet.setGravity(*scene.gravity, physicsClientId=client)
-        bullet.setTimeStep(1.0 / solver.step_rate_hz, physicsClientId=client)
+        bullet.setTimeStep(at_once / solver.step_rate_hz, physicsClientId=client)
         bullet.setPhysicsEngineParameter(
+            numSubSteps=at_once,
             numSolverIterations=solver.iterations,
             useSplitImpulse=int(solver.elastic_impacts),
             splitImpulsePenetrationThreshold=0.0 if solver.elastic_impacts else BULLET_PENETRATION_THRESHOLD,
@@ -145,8 +150,15 @@ class Simulator:
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
+        return steps // at_once
 
-    def _add(self, body: Body, solver: Solver) -> int:
+    def _add_all(self, scene: Scene, solver: Solver) -> list[int]:
+        """Bullet's ids of the objects, in their order in the scene. All look like one box: else Bullet finds a hull for each round one."""
+        look = self._bullet.createVisualShape(self._bullet.GEOM_BOX, halfExtents=[1, 1, 1], physicsClientId=self._client)
+        added = [(body.slot, self._add(body, look, solver)) for body in scene.bodies]
+        return [body_id for slot, body_id in added if slot is not None]
+
+    def _add(self, body: Body, look: int, solver: Solver) -> int:
         bullet, client = self._bullet, self._client
         width, depth, height = body.size_m
         if body.shape is Shape.BOX:
@@ -158,6 +170,7 @@ class Simulator:
         body_id = bullet.createMultiBody(
             baseMass=body.mass,
             baseCollisionShapeIndex=bullet.createCollisionShape(physicsClientId=client, **geometry),
+            baseVisualShapeIndex=look,
             basePosition=body.position,
             baseOrientation=body.quaternion_xyzw,
             useMaximalCoordinates=1,
@@ -175,6 +188,16 @@ class Simulator:
         )
         bullet.resetBaseVelocity(body_id, body.linear_velocity, [0.0, 0.0, 0.0], physicsClientId=client)
         return int(body_id)
+
+
+def _states(bullet: Any, client: int, ids: list[int]) -> list[float]:
+    """13 numbers of every object in turn, as in `Trajectory.states`."""
+    numbers: list[float] = []
+    for body_id in ids:
+        position, quaternion = bullet.getBasePositionAndOrientation(body_id, client)
+        linear, angular = bullet.getBaseVelocity(body_id, client)
+        numbers += (*position, *quaternion, *linear, *angular)
+    return numbers
 
 
 def import_pybullet() -> Any:
