@@ -37,10 +37,10 @@ class DatasetSpec:
 
     def __post_init__(self) -> None:
         if str(self.num_objects) not in self.size.num_experiments.get(self.scenario.name, {}):
-            known = ", ".join(self.size.num_experiments.get(self.scenario.name, {}))
+            known = ", ".join(self.size.num_experiments.get(self.scenario.name, {})) or "none"
             raise CophyError(
                 f"size {self.size.name} has no count for {self.scenario.name} with {self.num_objects} objects, "
-                f"only for {known}: see num_objects= and conf/size/{self.size.name}.yaml"
+                f"only for: {known}; see num_objects= and conf/size/{self.size.name}.yaml"
             )
 
     @property
