@@ -1,12 +1,14 @@
-"""Speed as ratios within one run: just bench [training|generation|loading|startup|hours ...]
+"""Speed as ratios within one run: just bench [training|generation|loading|startup|profile|hours ...]
 
 Prints a table and writes outputs/bench-<topic>.json. CPU times of one thread, medians of five pairs; docs/performance.md
-says what they mean. `hours` prints what `size=paper` costs.
+says what they mean. `profile` prints where the time goes, `hours` what `size=paper` costs (half an hour).
 """
 
 import json
 import sys
 
+import hotspots
+import paper_size
 import speed_generation
 import speed_loading
 import speed_startup
@@ -24,7 +26,7 @@ TOPICS = {
     "loading": speed_loading.measure,
     "startup": speed_startup.measure,
 }
-PAIRS_FOR_HOURS = 10
+OTHERS = {"profile": hotspots.main, "hours": paper_size.main}
 
 
 def main(topics: list[str]) -> None:
@@ -32,8 +34,8 @@ def main(topics: list[str]) -> None:
     config.register()
     torch.set_num_threads(1)
     for topic in topics:
-        if topic == "hours":
-            print_hours()
+        if topic in OTHERS:
+            OTHERS[topic]()
         else:
             report(topic, TOPICS[topic]())
 
@@ -49,15 +51,6 @@ def report(topic: str, rows: list[Measured]) -> None:
     path.parent.mkdir(exist_ok=True)
     content = [{**vars(row), "median": row.median} for row in rows]
     path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n")
-
-
-def print_hours() -> None:
-    """CPU-seconds per experiment and CPU-hours of `size=paper`."""
-    kinds = ["states", *(f"{kind} {size}" for size in speed_generation.RESOLUTIONS for kind in ("rgb", "all"))]
-    table = Table("scenario", "objects", "count", *(f"{k}, s" for k in kinds), *(f"{k}, h" for k in kinds))
-    for row in speed_generation.hours(PAIRS_FOR_HOURS):
-        table.add_row(*row)
-    Console(width=180).print(table)
 
 
 if __name__ == "__main__":

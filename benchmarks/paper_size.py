@@ -1,4 +1,4 @@
-"""What size=paper costs: python benchmarks/paper_size.py prints two Markdown tables. Half an hour on one core.
+"""What size=paper costs: just bench hours prints two Markdown tables. Half an hour on one core.
 
 A few experiments of every dataset are made as generate.py makes them, in one process; its CPU time × the counts of
 conf/size/paper.yaml. Experiments are independent of each other: on N cores it takes an N-th of the hours.
@@ -9,8 +9,7 @@ import time
 from pathlib import Path
 
 import pandas as pd
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from measure import settings
 from tqdm import tqdm
 
 from cophy import config
@@ -21,7 +20,6 @@ from cophy.dataset.states import States
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
 
-ROOT = Path(__file__).parents[1]
 NUM_SIMULATED, NUM_DRAWN = 400, 4  # some searches are long, every picture costs the same
 RENDERS = {
     f"{name}, {resolution}": RenderSettings(modalities, resolution, Backend.tiny)
@@ -35,8 +33,7 @@ def main() -> None:
     config.register()
     seconds, sizes = {}, {}
     for name in ("blocktower", "balls", "collision"):
-        with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-            chosen = OmegaConf.to_object(compose("generate", [f"scenario={name}", "size=paper"]))
+        chosen = settings("generate", f"scenario={name}", "size=paper")
         for count, experiments in chosen.size.num_experiments[name].items():
             took = measure(chosen.scenario, int(count))
             key = (f"{name}, {count}", experiments)

@@ -1,11 +1,10 @@
-"""Simulation, search, rendering, and what a second worker brings; and the hours that `size=paper` takes."""
+"""Simulation, search, rendering, and what a second worker brings."""
 
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 from measure import NUM_OBJECTS, REPEATS, ROOT, Measured, cpu_seconds, settings
@@ -17,8 +16,8 @@ from cophy.scenario import Scenario, Simulator
 from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
 
 SIMULATIONS_AT_ONCE = 20
-PAIRS_AT_ONCE = 12
-RESOLUTIONS = (224, 448)
+PAIRS_AT_ONCE = 24
+RESOLUTION = 224
 
 
 def measure() -> list[Measured]:
@@ -85,8 +84,8 @@ def search(scenario: Scenario, num_objects: int, simulator: Simulator) -> list[f
 def rendering(name: str) -> list[float]:
     """Overhead of stages, bodies, conversion, compression and boxes, at 224 × 224 with all three modalities."""
     with tempfile.TemporaryDirectory() as data_dir:
-        states = _states(name, NUM_OBJECTS[name], 2 * REPEATS, Path(data_dir))
-        images = Images(states, RenderSettings(list(MODALITIES), RESOLUTIONS[0], Backend.tiny))
+        states = made_states(name, NUM_OBJECTS[name], 2 * REPEATS, Path(data_dir))
+        images = Images(states, RenderSettings(list(MODALITIES), RESOLUTION, Backend.tiny))
         return [seconds / camera for seconds, camera in (_draw(images, shard) for shard in range(REPEATS))]
 
 
@@ -96,8 +95,8 @@ def second_worker() -> list[float]:
 
 
 def _generating(workers: int) -> float:
-    """CPU-s of generate.py and its workers for 160 towers in four shards."""
-    size = ["size.experiments_per_shard=40", "size.num_experiments.blocktower.3=160"]
+    """CPU-s of generate.py and its workers for 480 towers in four shards."""
+    size = ["size.experiments_per_shard=120", "size.num_experiments.blocktower.3=480"]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as data_dir:
         command = [sys.executable, "src/generate.py", "num_objects=[3]", f"workers={workers}", f"data_dir={data_dir}"]
@@ -106,10 +105,10 @@ def _generating(workers: int) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def _states(name: str, num_objects: int, num_experiments: int, data_dir: Path) -> States:
-    """A finished dataset with two experiments to a shard."""
+def made_states(name: str, num_objects: int, num_experiments: int, data_dir: Path, *, per_shard: int = 2) -> States:
+    """A finished dataset with so many experiments to a shard."""
     scenario = settings("generate", f"scenario={name}").scenario
-    size = Size("bench", 2, {name: {str(num_objects): num_experiments}})
+    size = Size("bench", per_shard, {name: {str(num_objects): num_experiments}})
     states = States(DatasetSpec(scenario, num_objects, size, 0), data_dir)
     states.directory.mkdir(parents=True)
     for shard in range(states.spec.num_shards):
@@ -124,26 +123,3 @@ def _draw(images: Images, shard: int) -> tuple[float, float]:
     start = time.process_time()
     took = images.write(images.path(shard), shard, lambda done: None)
     return time.process_time() - start, took["CPU-s inside PyBullet's camera"]
-
-
-def hours(num_pairs: int) -> list[Sequence[str]]:
-    """CPU-s per experiment and CPU-hours of `size=paper`: states, from `num_pairs` twin pairs each, and pictures of each kind.
-
-    A picture costs the same whatever the number of objects, so these are drawn for one number per scenario.
-    """
-    counts = settings("generate", "size=paper").size.num_experiments
-    kinds = [RenderSettings(list(m), r, Backend.tiny) for r in RESOLUTIONS for m in (("rgb",), MODALITIES)]
-    rows = []
-    for name, per_number in counts.items():
-        for num_objects, count in per_number.items():
-            with tempfile.TemporaryDirectory() as data_dir:
-                start = time.process_time()
-                states = _states(name, int(num_objects), 2 * num_pairs, Path(data_dir))
-                each = [(time.process_time() - start) / (2 * num_pairs)]
-                if int(num_objects) == NUM_OBJECTS[name]:
-                    each += [_draw(Images(states, kind), 0)[0] / 2 for kind in kinds]
-            hours_each = [count * seconds / 3600 for seconds in each]
-            blanks = [""] * (1 + len(kinds) - len(each))
-            cells = [[f"{value:.3g}" for value in values] + blanks for values in (each, hours_each)]
-            rows.append((name, num_objects, str(count), *cells[0], *cells[1]))
-    return rows

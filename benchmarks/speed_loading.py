@@ -1,6 +1,7 @@
 """Loading: experiments to predictors, frames to de-renderers."""
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -46,24 +47,9 @@ def frames() -> list[Measured]:
 
     A worker's own time per batch ÷ a step says how much of a worker a training process needs.
     """
-    chosen = settings("train", "model=derenderer", "size=tiny")
     with tempfile.TemporaryDirectory() as data_dir:
-        data = FrameDataModule(
-            scenario=chosen.scenario,
-            split=chosen.split,
-            num_objects=None,
-            size=chosen.size,
-            seed=0,
-            data_dir=Path(data_dir),
-            render=chosen.render,
-            resolution=chosen.model.resolution,
-            num_frames=1600,
-            batch_size=chosen.training.batch_size,
-            workers=2,
-        )
-        data.prepare_data()
-        data.setup()
-        step = _derendering_step(data)
+        data = frame_data(Path(data_dir))
+        step = derendering_step(data)
         waiting, working = [], []
         for _ in range(REPEATS):
             batches = iter(data.train_dataloader())
@@ -79,7 +65,29 @@ def frames() -> list[Measured]:
     ]
 
 
-def _derendering_step(data: FrameDataModule):
+def frame_data(data_dir: Path) -> FrameDataModule:
+    """1,600 frames of freshly drawn towers, two workers."""
+    chosen = settings("train", "model=derenderer", "size=tiny")
+    data = FrameDataModule(
+        scenario=chosen.scenario,
+        split=chosen.split,
+        num_objects=None,
+        size=chosen.size,
+        seed=0,
+        data_dir=data_dir,
+        source=chosen.source,
+        render=chosen.render,
+        resolution=chosen.model.resolution,
+        num_frames=1600,
+        batch_size=chosen.training.batch_size,
+        workers=2,
+    )
+    data.prepare_data()
+    data.setup()
+    return data
+
+
+def derendering_step(data: FrameDataModule) -> Callable[[FrameBatch], None]:
     """Forward, backward and Adam of the de-renderer as conf/ has it."""
     config = composed("train", "model=derenderer", "size=tiny")
     torch.manual_seed(0)

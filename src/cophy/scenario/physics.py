@@ -96,7 +96,7 @@ class Simulator:
             for _ in range(calls):
                 bullet.stepSimulation(client)
             sampled.append(_states(bullet, client, ids))
-        slots = [body.slot for body in scene.objects]
+        slots = [body.slot for body in scene.objects if body.slot is not None]
         states, presence = np.zeros((clock.num_states, num_slots, 13)), np.zeros(num_slots, dtype=bool)
         states[:, slots] = np.array(sampled).reshape(clock.num_states, len(slots), 13)
         presence[slots] = True
