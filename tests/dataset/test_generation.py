@@ -122,6 +122,17 @@ def test_a_foreign_shard_reads_nothing_but_plain_arrays(finished: Path, tmp_path
         decode(path.read_bytes(), 0, SPEC)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("do_slot", 99), ("stratum", 9), ("shape", 7), ("split", 3), ("configuration", -1), ("twin", 10**6)],
+)
+def test_an_index_out_of_range_is_damage(finished: Path, name: str, value: int) -> None:
+    arrays = decode((finished / "shard-00000.h5").read_bytes(), 0, SPEC)
+    arrays[name][-1] = value
+    with pytest.raises(DamagedShardError, match=f"'{name}' holds {value}, expected 0 to"):
+        decode(encode(arrays), 0, SPEC)
+
+
 def test_decoding_returns_what_was_encoded(finished: Path) -> None:
     content = (finished / "shard-00000.h5").read_bytes()
     assert encode(decode(content, 0, SPEC)) == content

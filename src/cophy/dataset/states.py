@@ -11,8 +11,8 @@ import numpy as np
 from cophy.dataset.card import write_card
 from cophy.dataset.shardset import DamagedShardError, ShardSet, dataset_in
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.splits import split_of_experiments
-from cophy.scenario import Displace, Experiment, Simulator
+from cophy.dataset.splits import SPLITS, split_of_experiments
+from cophy.scenario import Displace, Experiment, Shape, Simulator
 from cophy.scenario.assignment import seen_configurations
 
 
@@ -159,9 +159,29 @@ def decode(content: bytes, shard: int, spec: DatasetSpec) -> dict[str, np.ndarra
     count = len(spec.experiments_of_shard(shard))
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
-            return {
+            arrays = {
                 name: np.asarray(dataset_in(file, name, (count, *shape), dtype)[()])
                 for name, (shape, dtype) in layout(spec).items()
             }
     except (OSError, KeyError, RuntimeError) as error:
         raise DamagedShardError(" ".join(str(error).split())) from error
+    for name, (first, end) in _ranges(spec).items():
+        outside = arrays[name][(arrays[name] < first) | (arrays[name] >= end)]
+        if len(outside):
+            raise DamagedShardError(f"'{name}' holds {outside[0]}, expected {first} to {end - 1}")
+    return arrays
+
+
+def _ranges(spec: DatasetSpec) -> dict[str, tuple[int, int]]:
+    """First and end of what an array that points at something may hold."""
+    scenario = spec.scenario
+    return {
+        "shape": (0, max(Shape) + 1),
+        "object_index": (-1, spec.num_objects),
+        "configuration": (0, scenario.confounders.num_configurations(spec.num_objects)),
+        "do_operation": (0, len(scenario.do_operations)),
+        "do_slot": (0, scenario.num_slots),
+        "stratum": (0, len(scenario.strata())),
+        "twin": (0, spec.num_experiments // 2),
+        "split": (0, len(SPLITS)),
+    }

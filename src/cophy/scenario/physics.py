@@ -154,7 +154,9 @@ class Simulator:
 
     def _add_all(self, scene: Scene, solver: Solver) -> list[int]:
         """Bullet's ids of the objects, in their order in the scene. All look like one box: else Bullet finds a hull for each round one."""
-        look = self._bullet.createVisualShape(self._bullet.GEOM_BOX, halfExtents=[1, 1, 1], physicsClientId=self._client)
+        look = self._bullet.createVisualShape(
+            self._bullet.GEOM_BOX, halfExtents=[1, 1, 1], physicsClientId=self._client
+        )
         added = [(body.slot, self._add(body, look, solver)) for body in scene.bodies]
         return [body_id for slot, body_id in added if slot is not None]
 
