@@ -7,7 +7,7 @@ import pytest
 
 from cophy.dataset.audit import Check, audit
 from cophy.dataset.audit.geometry import NEAR, geometries, slots_in_order
-from cophy.dataset.audit.shares import shares
+from cophy.dataset.audit.shares import shapes, shares
 from cophy.dataset.audit.simulation import simulation
 from cophy.dataset.audit.states import states
 from cophy.dataset.audit.towers import towers
@@ -45,6 +45,32 @@ def test_a_planted_fault_is_caught(tiny, name: str, checks: Callable, line: str)
     changed = arrays[name].copy()
     changed[0] = changed[0] + 1
     assert line in failing(checks(arrays | {name: changed}, spec))
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "line"),
+    [
+        ("seen", (5,), None, "confounders and do-operation are those of the index"),
+        ("gravity", (5, 2), -5.0, "confounders are those of the configuration"),
+        ("mass", None, 10.0, "states are finite, empty slots zero"),
+    ],
+)
+def test_a_fault_in_one_second_twin_is_caught(tiny, name: str, place: tuple | None, value: float, line: str) -> None:
+    spec, arrays = tiny
+    changed = arrays[name].copy()
+    place = place or (5, int(np.argmin(arrays["object_index"][5])))
+    changed[place] = ~changed[place] if value is None else value
+    assert line in failing([*states(arrays | {name: changed}, spec), *twins(arrays | {name: changed}, spec)])
+
+
+def test_a_collision_of_another_stratum_is_caught(tiny) -> None:
+    spec, arrays = tiny
+    if spec.scenario.name != "collision":
+        pytest.skip("collision only")
+    for name in ("stratum", "shape"):
+        changed = arrays[name].copy()
+        changed[5] = (changed[5] + 1) % 4 if name == "stratum" else np.where(changed[5] > 0, 5 - changed[5], 0)
+        assert "shapes are those of the stratum" in failing([shapes(arrays | {name: changed}, spec)])
 
 
 def test_a_state_that_is_no_number_is_caught_and_stops_no_check(tiny) -> None:

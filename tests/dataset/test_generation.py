@@ -133,6 +133,16 @@ def test_an_index_out_of_range_is_damage(finished: Path, name: str, value: int) 
         decode(encode(arrays), 0, SPEC)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "said"), [("object_index", -1, "does not count"), ("shape", 0, "other slots")]
+)
+def test_an_object_that_is_only_half_there_is_damage(finished: Path, name: str, value: int, said: str) -> None:
+    arrays = decode((finished / "shard-00000.h5").read_bytes(), 0, SPEC)
+    arrays[name][-1] = value
+    with pytest.raises(DamagedShardError, match=f"'{name}' .*{said}"):
+        decode(encode(arrays), 0, SPEC)
+
+
 def test_decoding_returns_what_was_encoded(finished: Path) -> None:
     content = (finished / "shard-00000.h5").read_bytes()
     assert encode(decode(content, 0, SPEC)) == content

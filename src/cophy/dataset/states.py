@@ -169,6 +169,11 @@ def decode(content: bytes, shard: int, spec: DatasetSpec) -> dict[str, np.ndarra
         outside = arrays[name][(arrays[name] < first) | (arrays[name] >= end)]
         if len(outside):
             raise DamagedShardError(f"'{name}' holds {outside[0]}, expected {first} to {end - 1}")
+    order = np.arange(-spec.scenario.num_slots, spec.num_objects).clip(min=-1)[-spec.scenario.num_slots :]
+    if (np.sort(arrays["object_index"], axis=1) != order).any():
+        raise DamagedShardError(f"'object_index' does not count {spec.num_objects} objects")
+    if ((arrays["shape"] > 0) != (arrays["object_index"] >= 0)).any():
+        raise DamagedShardError("'shape' is given for other slots than 'object_index'")
     return arrays
 
 

@@ -64,9 +64,8 @@ def with_observation(
     tried = _Tried(scenario, scene, observed, noise, launch, simulator)
     tried.add(drawn.tolist())
     weight = {c: prior[c] if enumerated else float((drawn == c).sum()) for c in tried.likelihood}
-    for _ in range(ROUNDS):
-        if enumerated or sum(weight[c] * tried.likelihood[c] for c in weight) >= ENOUGH:
-            break
+    explained = enumerated or sum(weight[c] * tried.likelihood[c] for c in weight) >= ENOUGH
+    for _ in range(0 if explained else ROUNDS):
         for configuration in sorted(tried.error, key=tried.error.__getitem__)[:BEST]:
             near = scenario.confounders.neighbours(configuration, len(scene.objects))
             tried.add(c for c in near if prior[c] > 0)

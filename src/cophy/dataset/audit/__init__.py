@@ -6,7 +6,7 @@ from cophy.dataset.audit.bias import bias
 from cophy.dataset.audit.check import Arrays, Check, ProbeCheck
 from cophy.dataset.audit.external import audit_external
 from cophy.dataset.audit.geometry import geometries
-from cophy.dataset.audit.shares import shares, trajectories
+from cophy.dataset.audit.shares import shapes, shares, trajectories
 from cophy.dataset.audit.simulation import simulation
 from cophy.dataset.audit.states import states
 from cophy.dataset.audit.towers import towers
@@ -28,6 +28,8 @@ def audit(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -> Iterator
     if spec.scenario.name == "blocktower":
         yield from towers(arrays, spec)
     else:
+        if spec.scenario.name == "collision":
+            yield shapes(arrays, spec)
         yield from trajectories(arrays, spec)
     yield from bias(arrays, spec)
     yield from simulation(arrays, spec, replayed_pairs)

@@ -5,10 +5,12 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from scipy.stats import ks_2samp
 
-from cophy.dataset.audit.check import Arrays, Check, tolerance
+from cophy.dataset.audit.check import Arrays, Check, none_wrong, tolerance
+from cophy.dataset.audit.geometry import slots_in_order
 from cophy.dataset.audit.outcomes import mean_distance
 from cophy.dataset.external.spec import ExternalSpec
 from cophy.dataset.spec import DatasetSpec
+from cophy.scenario import Shape
 
 FURTHEST = 0.5  # ours: Kolmogorov-Smirnov; a heavy object flies less far than a light one, but no value settles how far
 
@@ -27,6 +29,15 @@ def shares(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     for axis, name in enumerate(("gravity_x", "gravity_y")):
         values = {value: f"{value:g}" for value in getattr(grid, name)}
         yield level(name, arrays["gravity"][:, axis], values, draws=count // cells)
+
+
+def shapes(arrays: Arrays, spec: DatasetSpec) -> Check:
+    """Collisions: the stratum names the shapes of the moving and the static object."""
+    slots = slots_in_order(arrays, spec.num_objects)
+    codes = np.take_along_axis(arrays["shape"], slots, axis=1).tolist()
+    found = ["_".join(Shape(code).name.lower() for code in row) for row in codes]
+    named = np.array(spec.scenario.strata())[arrays["stratum"]]
+    return none_wrong("shapes are those of the stratum", np.flatnonzero(np.array(found) != named).tolist())
 
 
 def level(name: str, values: np.ndarray, labels: Mapping[float, str], *, draws: int) -> Check:

@@ -22,14 +22,14 @@ CANDIDATES = 8  # configurations that AB is compared under
 
 @dataclass
 class _Replay:
-    """What came of one twin pair. distance: metres, of AB and CD of both twins; agreement: see `_agreement`."""
+    """What came of one twin pair. distance: metres, of AB and CD of both twins; agreement: of both twins, see `_agreement`."""
 
     pair: int
     same_bytes: bool
     strata: list[int]
     distance: np.ndarray
     twins_apart: float
-    agreement: float
+    agreement: list[float]
 
 
 def simulation(arrays: Arrays, spec: DatasetSpec, pairs: int) -> Iterator[Check]:
@@ -44,11 +44,11 @@ def simulation(arrays: Arrays, spec: DatasetSpec, pairs: int) -> Iterator[Check]
     yield _as_stored(replays, spec.scenario)
     apart = np.mean([replay.twins_apart >= WITHIN * spec.scenario.min_difference for replay in replays])
     yield Check("the twin's confounders give another CD", f"{apart:.0%} of {len(replays)} pairs", bool(apart >= WITHIN))
-    agreement = np.mean([replay.agreement for replay in replays])
+    agreement = np.array([replay.agreement for replay in replays])
     yield Check(
         "AB identifies CD: of configurations with this AB, have this CD",
-        f"mean {agreement:.0%} ≥ {IDENTIFIED:.0%}",
-        bool(agreement >= IDENTIFIED),
+        f"mean {agreement.mean():.0%} ≥ {IDENTIFIED:.0%}, most in {(agreement > 0.5).mean():.0%} of experiments",
+        bool(agreement.mean() >= IDENTIFIED),
     )
 
 
@@ -69,7 +69,7 @@ def _replay(arrays: Arrays, spec: DatasetSpec, pair: int, simulator: Simulator) 
         strata=arrays["stratum"][rows].tolist(),
         distance=np.array(distance),
         twins_apart=trajectory_distance(again[0][1], again[1][1]),
-        agreement=float(np.mean([_agreement(arrays, spec, row, simulator) for row in rows])),
+        agreement=[_agreement(arrays, spec, row, simulator) for row in rows],
     )
 
 

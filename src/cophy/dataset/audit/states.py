@@ -10,6 +10,7 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.scenario.energy import largest_gain
 from cophy.scenario.search import SimulatedSearch
 
+OF_OBJECTS = ("mass", "friction", "restitution")
 ROUNDING_M = 1e-5  # of float32
 DEEPEST = 0.05  # penetration as a share of an object's size: what Bullet needs to turn the fastest balls around (docs/physics.md)
 LARGEST_GAIN = 0.01  # of energy between two states, as conf/scenario/balls.yaml has it
@@ -18,7 +19,9 @@ LARGEST_GAIN = 0.01  # of energy between two states, as conf/scenario/balls.yaml
 def states(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     """All checks on trajectories."""
     finite = bool(np.isfinite(arrays["states"]).all())
-    empty = not arrays["states"].swapaxes(2, 3)[~arrays["presence"]].any()
+    vacant = arrays["object_index"] < 0
+    given = [arrays["states"].swapaxes(2, 3)[~arrays["presence"]], *(arrays[name][vacant] for name in OF_OBJECTS)]
+    empty = not any(values.any() for values in given)
     yield Check("states are finite, empty slots zero", "yes" if finite and empty else "no", finite and empty)
     yield _configurations(arrays, spec)
     if finite:
@@ -37,9 +40,10 @@ def _configurations(arrays: Arrays, spec: DatasetSpec) -> Check:
         truth = spec.scenario.confounders.decode(configuration, spec.num_objects)
         order = np.argsort(np.where(arrays["object_index"][row] < 0, spec.num_objects, arrays["object_index"][row]))
         slots = order[: spec.num_objects]
-        stored = [arrays[name][row, slots] for name in ("mass", "friction", "restitution")]
+        stored = [arrays[name][row, slots] for name in OF_OBJECTS]
         expected = [truth.mass, truth.friction, truth.restitution]
-        if not np.allclose(stored, expected) or not np.allclose(arrays["gravity"][row, :2], truth.gravity_xy):
+        gravity = (*truth.gravity_xy, spec.scenario.gravity_z)
+        if not np.allclose(stored, expected) or not np.allclose(arrays["gravity"][row], gravity):
             wrong.append(row)
     return none_wrong("confounders are those of the configuration", wrong)
 

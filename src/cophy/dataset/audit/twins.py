@@ -8,6 +8,7 @@ from cophy.dataset.audit.check import Arrays, Check, none_wrong
 from cophy.dataset.difficulty import twin_differences
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
+from cophy.scenario.assignment import seen_configurations
 
 SHARED_BY_TWINS = (
     "twin",
@@ -41,8 +42,10 @@ def twins(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
 
 
 def _prescribed(arrays: Arrays, spec: DatasetSpec) -> Check:
-    """Every experiment has the configuration, do-operation and cell that its index stands for, which keeps them level."""
-    wrong = []
+    """Every experiment has the configuration, do-operation and cell that its index stands for, which keeps them level; `seen` too."""
+    count = spec.scenario.confounders.num_configurations(spec.num_objects)
+    unseen = arrays["seen"] != seen_configurations(count, spec.seed)[arrays["configuration"]]
+    wrong = np.flatnonzero(unseen).tolist()
     for row in range(0, len(arrays["twin"]), 2):
         assignment = spec.scenario.assignment(spec.num_objects, seed=spec.seed, pair=int(arrays["twin"][row]))
         expected = (assignment.first, assignment.do_operation, assignment.cell)
