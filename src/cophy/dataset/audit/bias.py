@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.model_selection import GroupKFold
+from threadpoolctl import threadpool_limits
 
 from cophy.dataset.audit import clues
 from cophy.dataset.audit.check import Arrays, Check, ProbeCheck
@@ -88,12 +89,14 @@ def probe(
 def foretold(features: np.ndarray, outcome: np.ndarray, twin: np.ndarray) -> np.ndarray:
     """(experiment,) bool, what boosted trees make of the features, cross-validated over twin pairs.
 
-    They regress on 0 and 1, which allows a fold without one of them.
+    They regress on 0 and 1, which allows a fold without one of them. One thread: several wait for each other on trees this small, and
+    beside other work that takes many times as long.
     """
     found = np.zeros(len(outcome), dtype=bool)
-    for fitted, tested in GroupKFold(FOLDS).split(features, groups=twin):
-        trees = HistGradientBoostingRegressor(
-            learning_rate=0.05, max_leaf_nodes=8, early_stopping=False, random_state=0
-        )
-        found[tested] = trees.fit(features[fitted], outcome[fitted]).predict(features[tested]) > 0.5
+    with threadpool_limits(1):
+        for fitted, tested in GroupKFold(FOLDS).split(features, groups=twin):
+            trees = HistGradientBoostingRegressor(
+                learning_rate=0.05, max_leaf_nodes=8, early_stopping=False, random_state=0
+            )
+            found[tested] = trees.fit(features[fitted], outcome[fitted]).predict(features[tested]) > 0.5
     return found
