@@ -28,7 +28,7 @@ def measure() -> list[Measured]:
             pass
 
     def copy() -> None:
-        for tensor in experiments.batch:
+        for tensor in filter(torch.is_tensor, experiments.batch):
             tensor.clone()
 
     def train() -> None:
