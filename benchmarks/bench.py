@@ -1,7 +1,7 @@
 """Speed as ratios within one run: just bench [training|generation|loading|startup|profile|hours ...]
 
 Prints a table and writes outputs/bench-<topic>.json. CPU times of one thread, medians of five pairs; docs/performance.md
-says what they mean. `profile` prints where the time goes, `hours` what `size=paper` costs (half an hour).
+says what they mean. `profile` prints where the time goes, `hours` what `size=paper` costs (a quarter of an hour).
 """
 
 import json

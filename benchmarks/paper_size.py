@@ -1,4 +1,4 @@
-"""What size=paper costs: just bench hours prints two Markdown tables. Half an hour on one core.
+"""What size=paper costs: just bench hours prints two Markdown tables. A quarter of an hour on one core.
 
 A few experiments of every dataset are made as generate.py makes them, in one process; its CPU time × the counts of
 conf/size/paper.yaml. Experiments are independent of each other: on N cores it takes an N-th of the hours.

@@ -169,8 +169,8 @@ def decode(content: bytes, shard: int, spec: DatasetSpec) -> dict[str, np.ndarra
         outside = arrays[name][(arrays[name] < first) | (arrays[name] >= end)]
         if len(outside):
             raise DamagedShardError(f"'{name}' holds {outside[0]}, expected {first} to {end - 1}")
-    order = np.arange(-spec.scenario.num_slots, spec.num_objects).clip(min=-1)[-spec.scenario.num_slots :]
-    if (np.sort(arrays["object_index"], axis=1) != order).any():
+    counted = [-1] * (spec.scenario.num_slots - spec.num_objects) + list(range(spec.num_objects))
+    if (np.sort(arrays["object_index"], axis=1) != counted).any():
         raise DamagedShardError(f"'object_index' does not count {spec.num_objects} objects")
     if ((arrays["shape"] > 0) != (arrays["object_index"] >= 0)).any():
         raise DamagedShardError("'shape' is given for other slots than 'object_index'")
@@ -182,7 +182,6 @@ def _ranges(spec: DatasetSpec) -> dict[str, tuple[int, int]]:
     scenario = spec.scenario
     return {
         "shape": (0, max(Shape) + 1),
-        "object_index": (-1, spec.num_objects),
         "configuration": (0, scenario.confounders.num_configurations(spec.num_objects)),
         "do_operation": (0, len(scenario.do_operations)),
         "do_slot": (0, scenario.num_slots),

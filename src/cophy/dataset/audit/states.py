@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cophy.dataset.audit.check import Arrays, Check, none_wrong
+from cophy.dataset.audit.geometry import slots_in_order
 from cophy.dataset.replay import do_operation_of, scene_of, trajectories_of
 from cophy.dataset.spec import DatasetSpec
 from cophy.scenario.energy import largest_gain
@@ -32,15 +33,10 @@ def states(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
 
 def _configurations(arrays: Arrays, spec: DatasetSpec) -> Check:
     """Masses, frictions, restitutions and gravity are those of the configuration, in the scenario's order."""
-    wrong = []
+    wrong, slots = [], slots_in_order(arrays, spec.num_objects)
     for row, configuration in enumerate(arrays["configuration"].tolist()):
-        if not 0 <= configuration < spec.scenario.confounders.num_configurations(spec.num_objects):
-            wrong.append(row)
-            continue
         truth = spec.scenario.confounders.decode(configuration, spec.num_objects)
-        order = np.argsort(np.where(arrays["object_index"][row] < 0, spec.num_objects, arrays["object_index"][row]))
-        slots = order[: spec.num_objects]
-        stored = [arrays[name][row, slots] for name in OF_OBJECTS]
+        stored = [arrays[name][row, slots[row]] for name in OF_OBJECTS]
         expected = [truth.mass, truth.friction, truth.restitution]
         gravity = (*truth.gravity_xy, spec.scenario.gravity_z)
         if not np.allclose(stored, expected) or not np.allclose(arrays["gravity"][row], gravity):
