@@ -18,6 +18,8 @@ def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path
     assert str(tmp_path / "balls/4to4/cophynet/full/ground_truth/seed0/checkpoints") in printed
     assert result(tmp_path, "4to2")["metrics"]["mse"] != result(tmp_path, "4to4")["metrics"]["mse"]
     assert result(tmp_path, "4to2")["training_seconds"] == result(tmp_path, "4to4")["training_seconds"]
+    named = "scenario.task.splits=[4to4,4to2,4to3,4to5,4to6,mine]"  # a split more does not train the others again
+    assert "trained already" in train("-m", *HALVES, named, "split=4to2", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
     alone = train(*HALVES, "split=4to2", f"hydra.run.dir={tmp_path / 'alone'}", data=tiny_data)
     assert "trained already" not in alone
     metrics = json.loads((tmp_path / "alone" / "metrics.json").read_text())["metrics"]

@@ -13,13 +13,15 @@ from omegaconf.errors import OmegaConfBaseException
 
 from cophy.errors import CophyError
 
+MENDABLE = (HydraException, OmegaConfBaseException, CophyError)  # by who runs the command; the rest is for who wrote it
+
 
 def run(main: Callable[[], Any]) -> None:
     """Run a Hydra main; what the user can mend ends the process with one line, anything else with its traceback."""
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # let errors come here whole instead of being printed by Hydra
     try:
         main()
-    except (HydraException, OmegaConfBaseException, CophyError) as error:
+    except MENDABLE as error:
         sys.exit(f"{sys.argv[0]}: {explain(error)}")
     except OSError as error:
         if error.filename is None:
@@ -43,11 +45,14 @@ def explain(error: BaseException) -> str:
     if row := re.match(
         r"In '(ablation|row)/(\w+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)", str(error)
     ):
+        if "not in 'TrainConfig'" in row[3]:
+            return f"{row[1]}={row[2]}: {row[3]}: its YAML starts with the line '# @package _global_', and sets keys that train.yaml has"
         return f"{row[1]}={row[2]} does not go with this model: {row[3]}"
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
         group, _, name = error.missing_cfg_file.rpartition("/")
-        return f"{group}={name} does not exist{_suggest(name, error.options)}; there are {', '.join(sorted(error.options))}"
+        choices = ", ".join(sorted(error.options))
+        return f"{group}={name} does not exist{_suggest(name, error.options)}; there are {choices} (a folder of your own: --config-dir)"
     if isinstance(cause, OmegaConfBaseException) and cause.key is not None:
         what = (cause.msg or str(cause)).splitlines()[0]
         return f"{cause.full_key or cause.key}: {what}{_suggest(str(cause.key), _siblings(cause))}"

@@ -26,7 +26,8 @@ class Batch(NamedTuple):
     observed_stable: (B, T-1, K) whether an object of AB stays below the stable speed from the frame before until this one.
     confounders: (B, K, 12) true confounders (see CONFOUNDERS), standardised over the training set; constant ones are zero.
     confounder_class: (B, K, 2) index of the mass, and of the friction, among the values the scenario's grid has.
-    target: (B, T-1, K, 3) positions of D, frames 1 ... T-1.
+    target: (B, T-1, K, 3) positions of D, frames 1 ... T-1. It, `target_initial`, `target_presence` and `stable` are the
+        truth about D: losses and metrics see them, a model gets NaN and False.
     target_initial: (B, K, 3) true positions in C. target_presence: (B, K) objects truly in CD. `observed`, `initial` and
         their presence are what a de-renderer found, where predictors see its estimates.
     stable: (B, T-1, K) the same as observed_stable for D.

@@ -6,6 +6,7 @@ import torch
 
 from cophy.errors import CophyError
 from cophy.intervals import interval, mean
+from cophy.models.copying import CopyC
 from cophy.training.evaluation import evaluate
 from cophy.training.prediction import PredictionModule
 from cophy.training.probe import probe
@@ -51,9 +52,9 @@ def test_a_prediction_that_is_not_finite_is_an_error(tower_batch: Batch, scenari
 
 
 WRONG = {
-    "a tensor": lambda batch: batch.target,
+    "a tensor": lambda batch: batch.observed,
     "a frame too many": lambda batch: Prediction(batch.observed),
-    "one step for all": lambda batch: Prediction(batch.target[:, :1]),
+    "one step for all": lambda batch: Prediction(batch.observed[:, :1]),
     "boolean stability": lambda batch: Prediction(batch.target, batch.stable),
     "an estimate without slots": lambda batch: Prediction(batch.target, None, batch.initial[:, 0]),
 }
@@ -83,6 +84,30 @@ def labelled(count: int, seed: int) -> tuple[torch.Tensor, Batch]:
     fields = dict.fromkeys(Batch._fields, empty)
     batch = Batch(**{**fields, "observed_presence": presence, "presence": presence, "confounder_class": classes})
     return torch.where(presence[..., None], estimate, 1e6), batch
+
+
+def test_a_model_knows_nothing_of_d(tower_batch: Batch, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Peeking(torch.nn.Module):
+        def forward(self, batch: Batch) -> Prediction:
+            assert not torch.cat([batch.stable.flatten(), batch.target_presence.flatten()]).any()
+            return Prediction(batch.target + batch.target_initial[:, None])
+
+    chosen = settings("train", "scenario=blocktower")
+    module = PredictionModule(Peeking(), chosen.training, chosen.scenario, np.eye(2)[None], config={})
+    assert module(tower_batch).position.isnan().all()
+    monkeypatch.setattr(module, "log_dict", lambda *_, **__: None)  # there is no trainer
+    with pytest.raises(CophyError, match="Peeking predicts what is not finite"):
+        module.validation_step(tower_batch)
+
+
+def test_a_promised_estimate_is_asked_for(tower_batch: Batch) -> None:
+    class Promising(CopyC):
+        estimate_dim = 8
+
+    chosen = settings("train", "scenario=blocktower", "ablation=supervised_confounders")
+    module = PredictionModule(Promising(), chosen.training, chosen.scenario, np.eye(2)[None], config={})
+    with pytest.raises(CophyError, match="Promising has an estimate_dim, but returns no confounder_estimate"):
+        module(tower_batch)
 
 
 def test_the_probe_finds_what_is_there_and_nothing_else() -> None:

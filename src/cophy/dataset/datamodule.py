@@ -77,7 +77,8 @@ class CounterfactualDataModule(L.LightningDataModule):
     def training_depends_on(self) -> list[Any]:
         """What the training batches are a function of."""
         seen = self.derenderer.name if self.derenderer and "train" in self.estimated else None
-        return [self.train_states.id, asdict(self.split.train), asdict(self.scenario.task), seen]
+        task = {key: value for key, value in asdict(self.scenario.task).items() if key != "splits"}  # names, no data
+        return [self.train_states.id, asdict(self.split.train), task, seen]
 
     @property
     def mean_position(self) -> Tensor:

@@ -52,7 +52,9 @@ class Split:
         """Refuse a scenario this split was not made for."""
         if self.name not in scenario.task.splits:
             choices = ", ".join(scenario.task.splits)
-            raise CophyError(f"split={self.name} does not go with {scenario.name}: use {choices}")
+            raise CophyError(
+                f"split={self.name} does not go with {scenario.name}: use {choices} (scenario.task.splits)"
+            )
 
 
 def split_of_experiments(num_experiments: int, seed: int) -> np.ndarray:

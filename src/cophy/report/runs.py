@@ -12,6 +12,8 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
+from cophy.cli import explain
+
 log = logging.getLogger(__name__)
 
 NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "size")
@@ -38,7 +40,10 @@ def read_runs(outputs: Path, configuration_of: Callable[[dict[str, Any]], dict[s
                 line["epochs"] = int(own.trainer.max_epochs)
                 for key, expected in configuration_of(line).items():
                     changes += _differences(key, _plain(own, key), expected)
-        except (ValueError, KeyError, TypeError, OSError, OmegaConfBaseException, HydraException, YAMLError) as error:
+        except (OmegaConfBaseException, HydraException) as error:
+            log.warning("%s is skipped: %s", path, explain(error))
+            continue
+        except (ValueError, KeyError, TypeError, OSError, YAMLError) as error:
             log.warning("%s is skipped: %s: %s", path, type(error).__name__, " ".join(str(error).split()))
             continue
         if changes:

@@ -181,10 +181,11 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
     notes = [f"Each cell: ours / the paper's. {better} is better."]
     if used.empty:
         return " ".join([*notes, "Nothing was run yet."])
-    values = {
-        name: sorted(used[name].unique().tolist()) for name in ("size", "num_train", "num_test", "epochs", "seed")
-    }
-    size, num_train, num_test, epochs, seeds = (", ".join(map(str, chosen)) for chosen in values.values())
+    counts = ("num_train", "num_test", "epochs", "seed")  # floats where some run failed and has none
+    num_train, num_test, epochs, seeds = (
+        ", ".join(map(str, sorted(used[name].astype(int).unique()))) for name in counts
+    )
+    size = ", ".join(sorted(used["size"].unique()))
     notes.append(f"Size {size}: {num_train} training and {num_test} test experiments; {epochs} epochs; seeds {seeds}.")
     notes.append(
         "[ ]: 95 % bootstrap interval over the twin pairs of the test split; ±: standard deviation over seeds."

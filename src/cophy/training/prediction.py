@@ -56,7 +56,7 @@ class PredictionModule(L.LightningModule):
         return any(parameter.requires_grad for parameter in self.network.parameters())
 
     def forward(self, batch: Batch) -> Prediction:
-        prediction = self.network(batch)
+        prediction = self.network(_without_truth(batch))
         _check_shapes(prediction, batch, self.network)
         missed = (batch.target_presence & ~batch.presence)[:, None, :, None]
         return prediction._replace(position=torch.where(missed, self.missed_position, prediction.position))
@@ -75,8 +75,14 @@ class PredictionModule(L.LightningModule):
 
     def validation_step(self, batch: Batch) -> STEP_OUTPUT:
         prediction = self(batch)
+        loss = self._loss("val", prediction, batch)
+        if not torch.isfinite(loss):
+            raise CophyError(
+                f"{type(self.network).__name__} predicts what is not finite: lower training.learning_rate "
+                "(or does it read D from the batch? It is hidden from models, as NaN)"
+            )
         self._measure("val", prediction, batch)
-        return self._loss("val", prediction, batch)
+        return loss
 
     def on_test_epoch_start(self) -> None:
         self._test_steps: list[tuple[Prediction, Batch]] = []
@@ -121,6 +127,14 @@ class PredictionModule(L.LightningModule):
                 self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
 
 
+def _without_truth(batch: Batch) -> Batch:
+    """The batch as a model sees it: of D it knows nothing."""
+    hidden = {name: torch.full_like(getattr(batch, name), torch.nan) for name in ("target", "target_initial")}
+    return batch._replace(
+        **hidden, stable=torch.zeros_like(batch.stable), target_presence=torch.zeros_like(batch.presence)
+    )
+
+
 def _confounder_heads(network: nn.Module, scenario: Scenario) -> nn.ModuleList:
     """A linear classifier of mass and one of friction on every object's U (paper, appendix)."""
     width = getattr(network, "estimate_dim", None)
@@ -143,6 +157,8 @@ def _check_shapes(prediction: Prediction, batch: Batch, network: nn.Module) -> N
         ("position", prediction.position, ((size, steps, slots, 3),)),
         ("stable_logit", prediction.stable_logit, ((size, steps, slots), (size, 1, slots))),
     ]
+    if prediction.confounder_estimate is None and getattr(network, "estimate_dim", None):
+        raise CophyError(f"{name} has an estimate_dim, but returns no confounder_estimate")
     if prediction.confounder_estimate is not None:
         width = getattr(network, "estimate_dim", prediction.confounder_estimate.shape[-1])
         expected.append(("confounder_estimate", prediction.confounder_estimate, ((size, slots, width),)))
@@ -150,5 +166,5 @@ def _check_shapes(prediction: Prediction, batch: Batch, network: nn.Module) -> N
         if tensor is not None and (tuple(tensor.shape) not in shapes or not tensor.is_floating_point()):
             choices = " or ".join(map(str, shapes))
             raise CophyError(
-                f"{name} returns {field} {tensor.dtype} of shape {tuple(tensor.shape)}, not floats of {choices}"
+                f"{name} returns {field} {tensor.dtype} of shape {tuple(tensor.shape)}, not floats of {choices} (cophy/types.py)"
             )

@@ -80,7 +80,11 @@ def build_network(model: dict[str, Any]) -> nn.Module:
     try:
         kind = get_class(model["_target_"])
     except Exception as error:
-        raise CophyError(f"model._target_={model['_target_']} cannot be imported: {error}") from error
+        cause = error.__cause__ or error
+        raise CophyError(
+            f"model._target_={model['_target_']} cannot be imported: {type(cause).__name__}: {cause} "
+            "(a folder of your own: PYTHONPATH)"
+        ) from error
     if not issubclass(kind, nn.Module):
         raise CophyError(f"model._target_={model['_target_']} is not a torch.nn.Module")
     try:
@@ -108,6 +112,8 @@ def _train(
         return reuse.adopt(found, row)
     if resume is None:
         reuse.forget(row)
+    if trainer.is_global_zero:
+        data.prepare_data()  # Lightning would do so in fit, but to generate is no cost of the row
     start = time.monotonic()
     trainer.fit(module, data, ckpt_path=resume, weights_only=True)
     seconds = time.monotonic() - start
