@@ -8,6 +8,7 @@ CoPhyNet takes along to C. The second table blurs AB by independent Gaussian noi
 """
 
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -58,20 +59,17 @@ def probes(network: nn.Module, train: Batch, test: Batch) -> Table:
     """Accuracies in %, for all towers and for those whose A falls or stands."""
     table = Table("classifier", "sees", "A", "test blocks", "mass, %", "friction, %", "both (4-way), %")
     parts = [_from_bottom_to_top(network, batch) for batch in (train, test)]
-    for kind, whole in (("linear", False), ("trees", False), ("trees", True)):
-        for name in tqdm(("all", "falls", "stands"), unit="group"):
-            (seen, classes), (asked, truth) = (_group(*part, name, whole=whole) for part in parts)
-            right = np.stack(
-                [
-                    [
-                        _classifier(kind).fit(seen[k], classes[k, :, c]).predict(asked[k]) == truth[k, :, c]
-                        for c in (0, 1)
-                    ]
-                    for k in range(NUM_BLOCKS)
-                ]
-            )  # block, confounder, experiment
-            shares = [f"{100 * r.mean():.0f}" for r in (right[:, 0], right[:, 1], right.all(axis=1))]
-            table.add_row(kind, "all U, A" if whole else "its U", name, str(right[:, 0].size), *shares)
+    kinds = (("linear", False), ("trees", False), ("trees", True))
+    for (kind, whole), name in tqdm(list(product(kinds, ("all", "falls", "stands"))), unit="probe"):
+        (seen, classes), (asked, truth) = (_group(*part, name, whole=whole) for part in parts)
+        right = np.stack(
+            [
+                [_classifier(kind).fit(seen[k], classes[k, :, c]).predict(asked[k]) == truth[k, :, c] for c in (0, 1)]
+                for k in range(NUM_BLOCKS)
+            ]
+        )  # block, confounder, experiment
+        shares = [f"{100 * r.mean():.0f}" for r in (right[:, 0], right[:, 1], right.all(axis=1))]
+        table.add_row(kind, "all U, A" if whole else "its U", name, str(right[:, 0].size), *shares)
     return table
 
 
