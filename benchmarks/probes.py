@@ -3,8 +3,8 @@
     python benchmarks/probes.py outputs/blocktower/3to3/cophynet/full/ground_truth/seed0 [data_dir]
 
 Classifiers are fitted on the training split and scored on the test split, one per level of the tower: logistic regression or
-boosted trees on U of the block itself, and boosted trees on U of all three blocks and their offsets in A, which is all that
-CoPhyNet takes along to C. The second table blurs AB by independent Gaussian noise and gives the MSE of D. Half a minute on one core.
+boosted trees on U of the block itself, and boosted trees on U of all three blocks, all that CoPhyNet takes along to C, and their
+offsets in A. For runs at size=small, whose data lie in data_dir. The second table blurs AB by independent Gaussian noise and gives the MSE of D. Half a minute on one core.
 """
 
 import sys

@@ -35,7 +35,7 @@ def main(cfg: DictConfig) -> float:
     except Exception as error:
         row.fail(error)
         if HydraConfig.get().mode is RunMode.MULTIRUN:  # the other rows go on; Hydra names only the first that failed
-            trace = not isinstance(error, cli.MENDABLE)
+            trace = not cli.is_mendable(error)
             logging.getLogger(__name__).error("%s failed: %s", row.place, error, exc_info=trace)
         raise
 

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from tests.test_end_to_end import train
 
 HALVES = ("scenario=balls", "trainer.max_epochs=1")
@@ -38,12 +40,14 @@ def test_another_training_is_not_reused(tiny_data: Path, tmp_path: Path) -> None
 def test_a_failed_row_is_noted_and_the_others_run(tiny_data: Path, tmp_path: Path) -> None:
     sweep = ("-m", "scenario=collision", "split=cylinder_to_sphere,all", "model=copy_b", f"hydra.sweep.dir={tmp_path}")
     train(*sweep, data=tiny_data, code=1)  # tiny data hold no test experiment of the first split
+    assert "Traceback" not in next(tmp_path.glob("collision/cylinder_to_sphere/**/train.log")).read_text()
     assert "leaves no test experiments" in json.loads(next(tmp_path.rglob("failure.json")).read_text())["error"]
     assert [path.parts[-6] for path in tmp_path.rglob("metrics.json")] == ["all"]
 
 
-def test_a_training_of_other_code_is_not_reused(tiny_data: Path, tmp_path: Path, monkeypatch) -> None:
-    """A model of one's own, whose helper changes."""
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[object, ...]:
+    """Arguments that choose a model of one's own, which needs a helper.py with its SCALE."""
     (tmp_path / "own.py").write_text(
         "from torch import nn\nfrom cophy.models.copying import CopyC\nfrom helper import SCALE\n\n"
         "class Own(CopyC):\n    def __init__(self):\n        super().__init__()\n        self.linear = nn.Linear(3, 3)\n\n"
@@ -53,10 +57,24 @@ def test_a_training_of_other_code_is_not_reused(tiny_data: Path, tmp_path: Path,
     (tmp_path / "conf" / "model").mkdir(parents=True)
     (tmp_path / "conf" / "model" / "own.yaml").write_text("_target_: own.Own\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    place = ("--config-dir", tmp_path / "conf", "model=own", "scenario=collision", f"hydra.run.dir={tmp_path / 'run'}")
+    return "--config-dir", tmp_path / "conf", "model=own", "scenario=collision"
+
+
+def test_a_training_of_other_code_is_not_reused(tiny_data: Path, tmp_path: Path, own: tuple[object, ...]) -> None:
+    place = (*own, f"hydra.run.dir={tmp_path / 'run'}")
     for scale, reused in ((1, False), (1, True), (2, False)):
         (tmp_path / "helper.py").write_text(f"SCALE = {scale}\n")
         assert ("trained already" in train(*place, data=tiny_data)) == reused
+
+
+def test_a_model_that_crashes_in_a_sweep_leaves_its_traceback(
+    tiny_data: Path, tmp_path: Path, own: tuple[object, ...]
+) -> None:
+    (tmp_path / "helper.py").write_text("SCALE = 'large'\n")
+    train(*own, f"hydra.sweep.dir={tmp_path}", "hydra.mode=MULTIRUN", data=tiny_data, code=1)
+    logged = next(tmp_path.glob("collision/**/train.log")).read_text()
+    assert "own.py" in logged
+    assert "TypeError" in logged
 
 
 def test_checkpoints_of_an_earlier_training_are_not_tested(tiny_data: Path, tmp_path: Path) -> None:

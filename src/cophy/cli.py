@@ -13,22 +13,25 @@ from omegaconf.errors import OmegaConfBaseException
 
 from cophy.errors import CophyError
 
-MENDABLE = (HydraException, OmegaConfBaseException, CophyError)  # by who runs the command; the rest is for who wrote it
-
 
 def run(main: Callable[[], Any]) -> None:
     """Run a Hydra main; what the user can mend ends the process with one line, anything else with its traceback."""
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # let errors come here whole instead of being printed by Hydra
     try:
         main()
-    except MENDABLE as error:
-        sys.exit(f"{sys.argv[0]}: {explain(error)}")
-    except OSError as error:
-        if error.filename is None:
+    except Exception as error:
+        if not is_mendable(error):
             raise
-        sys.exit(f"{sys.argv[0]}: {error.filename}: {error.strerror}")
+        sys.exit(f"{sys.argv[0]}: {explain(error)}")
     except KeyboardInterrupt:
         sys.exit(f"{sys.argv[0]}: interrupted; finished shards and checkpoints are kept")
+
+
+def is_mendable(error: Exception) -> bool:
+    """Whether one line is enough for who runs the command; of all else, who wrote it needs the traceback."""
+    if isinstance(error, OSError):
+        return error.filename is not None
+    return isinstance(error, HydraException | OmegaConfBaseException | CophyError)
 
 
 def to_config(config: Any) -> Any:
@@ -40,13 +43,15 @@ def to_config(config: Any) -> Any:
 
 
 def explain(error: BaseException) -> str:
-    """One line for an error of Hydra, OmegaConf or ours."""
+    """One line for an error that is mendable."""
+    if isinstance(error, OSError):
+        return f"{error.filename}: {error.strerror}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if row := re.match(
         r"In '(ablation|row)/(\w+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)", str(error)
     ):
-        if "not in 'TrainConfig'" in row[3]:
-            return f"{row[1]}={row[2]}: {row[3]}: its YAML starts with the line '# @package _global_', and sets keys that train.yaml has"
+        if f"Key '{row[1]}' not in" in row[3]:
+            return f"{row[1]}={row[2]}: its YAML must start with the line '# @package _global_'"
         return f"{row[1]}={row[2]} does not go with this model: {row[3]}"
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
+import torch
 from torch import Tensor
 
 # Per-object features of `Batch.confounders`: all that positions hide and AB and CD share. Besides the confounders of
@@ -60,6 +61,16 @@ class Prediction(NamedTuple):
     position: Tensor
     stable_logit: Tensor | None = None
     confounder_estimate: Tensor | None = None
+
+
+def without_truth(batch: Batch) -> Batch:
+    """The batch as a model sees it: of D it knows nothing."""
+    return batch._replace(
+        target=torch.full_like(batch.target, torch.nan),
+        target_initial=torch.full_like(batch.target_initial, torch.nan),
+        target_presence=torch.zeros_like(batch.target_presence),
+        stable=torch.zeros_like(batch.stable),
+    )
 
 
 TensorTuple = TypeVar("TensorTuple", Batch, Prediction)

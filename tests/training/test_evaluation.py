@@ -47,6 +47,12 @@ def test_a_prediction_that_is_not_finite_is_an_error(tower_batch: Batch, scenari
     position[3, 5] = torch.nan
     with pytest.raises(CophyError, match="not finite"):
         evaluate(Prediction(position), tower_batch, scenario)
+    with pytest.raises(CophyError, match="not finite"):
+        evaluate(
+            Prediction(tower_batch.target, torch.full_like(tower_batch.target[..., 0], torch.nan)),
+            tower_batch,
+            scenario,
+        )
     absent = torch.where(tower_batch.presence[:, None, :, None], tower_batch.target, torch.nan)
     assert evaluate(Prediction(absent), tower_batch, scenario)["mse"].max() == 0  # what is absent does not matter
 
@@ -90,7 +96,8 @@ def test_a_model_knows_nothing_of_d(tower_batch: Batch, monkeypatch: pytest.Monk
     class Peeking(torch.nn.Module):
         def forward(self, batch: Batch) -> Prediction:
             assert not torch.cat([batch.stable.flatten(), batch.target_presence.flatten()]).any()
-            return Prediction(batch.target + batch.target_initial[:, None])
+            assert batch.target_initial.isnan().all()
+            return Prediction(batch.target)
 
     chosen = settings("train", "scenario=blocktower")
     module = PredictionModule(Peeking(), chosen.training, chosen.scenario, np.eye(2)[None], config={})

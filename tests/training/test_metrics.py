@@ -126,6 +126,9 @@ def test_losses_ignore_empty_slots() -> None:
     assert position_loss(prediction(), batch()) == pytest.approx((9 / 3 + 25 / 3 + 36 / 3) / 6)
     wrong = torch.tensor([3 * 9.0]) / 6  # three confident mistakes of six
     torch.testing.assert_close(stability_loss(prediction().stable_logit, batch()), wrong[0], atol=1e-3, rtol=0)
+    empty = ~batch().target_presence[:, None, :, None]
+    nonsense = prediction()._replace(position=prediction().position.masked_fill(empty, torch.nan))
+    assert position_loss(nonsense, batch()) == position_loss(prediction(), batch())
 
 
 def test_a_logit_for_the_sequence_is_held_against_being_always_stable() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
@@ -9,9 +10,9 @@ from cophy.types import Batch, Prediction
 
 
 def masked_mean(values: Tensor, presence: Tensor) -> Tensor:
-    """Mean over (B, T, K) of the present objects' values; presence is (B, K)."""
-    weight = presence[:, None].expand_as(values)
-    return (values * weight).sum() / weight.sum()
+    """Mean over (B, T, K) of the present objects' values, whatever the others are; presence is (B, K)."""
+    counted = presence[:, None].expand_as(values)
+    return torch.where(counted, values, 0.0).sum() / counted.sum()
 
 
 def position_loss(prediction: Prediction, batch: Batch) -> Tensor:

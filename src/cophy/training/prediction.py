@@ -13,11 +13,12 @@ from cophy.dataset.datamodule import CounterfactualDataModule
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.training.augmentation import augment
+from cophy.training.evaluation import NOT_FINITE
 from cophy.training.losses import confounder_loss, position_loss, stability_loss
 from cophy.training.metrics import collection, position_measures, stability_measures
 from cophy.training.optimisation import adam_with_cosine
 from cophy.training.settings import Training
-from cophy.types import Batch, Prediction, map_fields
+from cophy.types import Batch, Prediction, map_fields, without_truth
 
 
 class PredictionModule(L.LightningModule):
@@ -56,7 +57,7 @@ class PredictionModule(L.LightningModule):
         return any(parameter.requires_grad for parameter in self.network.parameters())
 
     def forward(self, batch: Batch) -> Prediction:
-        prediction = self.network(_without_truth(batch))
+        prediction = self.network(without_truth(batch))
         _check_shapes(prediction, batch, self.network)
         missed = (batch.target_presence & ~batch.presence)[:, None, :, None]
         return prediction._replace(position=torch.where(missed, self.missed_position, prediction.position))
@@ -77,10 +78,7 @@ class PredictionModule(L.LightningModule):
         prediction = self(batch)
         loss = self._loss("val", prediction, batch)
         if not torch.isfinite(loss):
-            raise CophyError(
-                f"{type(self.network).__name__} predicts what is not finite: lower training.learning_rate "
-                "(or does it read D from the batch? It is hidden from models, as NaN)"
-            )
+            raise CophyError(f"{type(self.network).__name__} {NOT_FINITE}")
         self._measure("val", prediction, batch)
         return loss
 
@@ -125,14 +123,6 @@ class PredictionModule(L.LightningModule):
                 metrics.update(prediction, batch)
             for name, metric in metrics.items(keep_base=False):
                 self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
-
-
-def _without_truth(batch: Batch) -> Batch:
-    """The batch as a model sees it: of D it knows nothing."""
-    hidden = {name: torch.full_like(getattr(batch, name), torch.nan) for name in ("target", "target_initial")}
-    return batch._replace(
-        **hidden, stable=torch.zeros_like(batch.stable), target_presence=torch.zeros_like(batch.presence)
-    )
 
 
 def _confounder_heads(network: nn.Module, scenario: Scenario) -> nn.ModuleList:

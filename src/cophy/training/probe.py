@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from cophy.training.metrics import over_objects
-from cophy.types import Batch, map_fields
+from cophy.types import Batch, map_fields, without_truth
 
 MOST_VALUES = 1000  # more than any grid has of friction
 
@@ -17,7 +17,7 @@ def estimate(network: nn.Module, batch: Batch, *, batch_size: int) -> Tensor | N
     parts = []
     with torch.no_grad():
         for start in range(0, len(batch.initial), batch_size):
-            part = network.eval()(map_fields(itemgetter(slice(start, start + batch_size)), batch))
+            part = network.eval()(without_truth(map_fields(itemgetter(slice(start, start + batch_size)), batch)))
             if part.confounder_estimate is None:
                 return None
             parts.append(part.confounder_estimate)

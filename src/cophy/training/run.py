@@ -80,11 +80,10 @@ def build_network(model: dict[str, Any]) -> nn.Module:
     try:
         kind = get_class(model["_target_"])
     except Exception as error:
-        cause = error.__cause__ or error
-        raise CophyError(
-            f"model._target_={model['_target_']} cannot be imported: {type(cause).__name__}: {cause} "
-            "(a folder of your own: PYTHONPATH)"
-        ) from error
+        package = str(model["_target_"]).split(".")[0]
+        unknown = isinstance(cause := error.__cause__, ModuleNotFoundError) and cause.name == package
+        why = f"no module {package} (is its folder on PYTHONPATH?)" if unknown else " ".join(str(error).split())
+        raise CophyError(f"model._target_={model['_target_']} cannot be imported: {why}") from error
     if not issubclass(kind, nn.Module):
         raise CophyError(f"model._target_={model['_target_']} is not a torch.nn.Module")
     try:
@@ -112,8 +111,7 @@ def _train(
         return reuse.adopt(found, row)
     if resume is None:
         reuse.forget(row)
-    if trainer.is_global_zero:
-        data.prepare_data()  # Lightning would do so in fit, but to generate is no cost of the row
+    data.prepare_data()  # Lightning would do so in fit, but to generate is no cost of the row
     start = time.monotonic()
     trainer.fit(module, data, ckpt_path=resume, weights_only=True)
     seconds = time.monotonic() - start
@@ -155,7 +153,8 @@ def _weights_depend_on(config: dict[str, Any]) -> dict[str, Any]:
     """The keys that a resumed training must share with the one it goes on from; it may be longer."""
     parts = {"scenario": config["scenario"], "split.train": config["split"]["train"]}
     parts |= {key: config[key] for key in ("model", "training", "data_seed", "size")}
-    return _flatten(parts | {"data": config.get("trained_on")})
+    keys = _flatten(parts | {"data": config.get("trained_on")})
+    return {key: value for key, value in keys.items() if key != "scenario.task.splits"}  # names, no data
 
 
 def _flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
