@@ -29,9 +29,8 @@ def run(main: Callable[[], Any]) -> None:
 
 def is_mendable(error: Exception) -> bool:
     """Whether one line is enough for who runs the command; of all else, who wrote it needs the traceback."""
-    if isinstance(error, OSError):
-        return error.filename is not None
-    return isinstance(error, HydraException | OmegaConfBaseException | CophyError)
+    of_a_file = isinstance(error, OSError) and error.filename is not None
+    return of_a_file or isinstance(error, HydraException | OmegaConfBaseException | CophyError)
 
 
 def to_config(config: Any) -> Any:
@@ -44,7 +43,7 @@ def to_config(config: Any) -> Any:
 
 def explain(error: BaseException) -> str:
     """One line for an error that is mendable."""
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if row := re.match(
