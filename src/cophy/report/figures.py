@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 from zipfile import BadZipFile
 
@@ -78,9 +79,9 @@ def draw_bars(filled: FilledTable) -> Figure:
         )
         axis.bar(at + 0.2, group["paper"].astype(float).fillna(0), 0.4, color=GREY)
         axis.set_xticks(at, group[bars], rotation=60, ha="right", fontsize="small")
-        axis.set_title(label, fontsize="medium")
+        axis.set_title(fill(str(label), 12), fontsize="medium")
         axis.grid(axis="y", alpha=0.2)
-    axes[0].set_ylabel(table.title.split(":")[-1].strip(), fontsize="small")
+    axes[0].set_ylabel(fill(table.title.split(":")[-1].strip(), 50), fontsize="small")
     figure.suptitle(f"{table.title.split(':')[0]}: ours (blue, best red), the paper's (grey)", fontsize="medium")
     return figure
 
