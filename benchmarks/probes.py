@@ -4,7 +4,8 @@
 
 Classifiers are fitted on the training split and scored on the test split, one per level of the tower: logistic regression or
 boosted trees on U of the block itself, and boosted trees on U of all three blocks, all that CoPhyNet takes along to C, and their
-offsets in A. For runs at size=small, whose data lie in data_dir. The second table blurs AB by independent Gaussian noise and gives the MSE of D. Half a minute on one core.
+offsets in A. The second table blurs AB by independent Gaussian noise and gives the MSE of D. For runs at size=small, whose data
+lie in data_dir; half a minute on one core.
 """
 
 import sys
