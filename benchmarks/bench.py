@@ -2,11 +2,14 @@
 
 Prints a table and writes outputs/bench-<topic>.json. CPU times of one thread, medians of five pairs; docs/performance.md
 says what they mean. `profile` prints where the time goes, `hours` what `size=paper` costs (a quarter of an hour).
+`just bench training against=../cophy-before` compares the training step with that of another checkout, and measures nothing else.
 """
 
 import json
 import sys
+from pathlib import Path
 
+import checkouts
 import hotspots
 import paper_size
 import speed_generation
@@ -18,7 +21,7 @@ from measure import ROOT, Measured
 from rich.console import Console
 from rich.table import Table
 
-from cophy import config
+from cophy.app.registration import register
 
 TOPICS = {
     "training": speed_training.measure,
@@ -27,13 +30,22 @@ TOPICS = {
     "startup": speed_startup.measure,
 }
 OTHERS = {"profile": hotspots.main, "hours": paper_size.main}
+AGAINST = "against="
 
 
-def main(topics: list[str]) -> None:
+def main(arguments: list[str]) -> None:
     """Measure, print, keep."""
-    config.register()
+    topics = [each for each in arguments if not each.startswith(AGAINST)]
+    against = [Path(each.removeprefix(AGAINST)) for each in arguments if each.startswith(AGAINST)]
+    if unknown := [topic for topic in topics if topic not in TOPICS | OTHERS]:
+        sys.exit(f"{unknown[0]}: there are {', '.join(TOPICS | OTHERS)}")
+    if against and topics != ["training"]:
+        sys.exit(f"{AGAINST} goes with training alone")
+    register()
     torch.set_num_threads(1)
-    for topic in topics:
+    for there in against:
+        report("training-against", checkouts.measure(there))
+    for topic in () if against else topics or TOPICS:
         if topic in OTHERS:
             OTHERS[topic]()
         else:
@@ -54,4 +66,4 @@ def report(topic: str, rows: list[Measured]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or list(TOPICS))
+    main(sys.argv[1:])

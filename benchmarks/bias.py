@@ -1,53 +1,76 @@
-"""What the bias probe finds where there is something to find: python benchmarks/bias.py [data_dir]. Towers of size=small.
+"""What the classifiers of the audit find where there is something to find: python benchmarks/bias.py [data_dir]. Towers of size=small.
 
 The geometries C are those of the dataset; the outcomes are planted, by statics, so that the best possible answer is known.
 """
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from physics import scenario
+from physics import scenario as configured
 from rich.console import Console
 from rich.table import Table
 
-from cophy import config
-from cophy.dataset.audit.bias import probe
-from cophy.dataset.audit.clues import initial_scene
-from cophy.dataset.audit.towers import stand_on_paper
+from cophy.app.registration import register
+from cophy.dataset.audit.bias.classifiers import ask_classifier
+from cophy.dataset.audit.bias.visible_features import initial_scene
+from cophy.dataset.audit.tower_outcomes import stand_on_paper
 from cophy.dataset.spec import DatasetSpec, Size
-from cophy.dataset.states import States
+from cophy.dataset.store.states import States
+from cophy.scenario import Scenario
 
 NUM_OBJECTS = 3
 SIZE = Size("small", 100, {"blocktower": {str(NUM_OBJECTS): 4000}})
 BROKEN = (0.05, 0.1, 0.2)  # share of twin pairs whose outcomes are alike
 
 
+class Planted(NamedTuple):
+    """A question whose best possible answer is known.
+
+    Attributes:
+        name: Of the row.
+        rows: The experiments that are asked about.
+        outcome: (experiment,) bool, what is asked for.
+        best: Share that the best classifier can have right.
+    """
+
+    name: str
+    rows: np.ndarray
+    outcome: np.ndarray
+    best: float
+
+
 def main(data_dir: Path) -> None:
     """Measure, then print."""
-    config.register()
-    spec = DatasetSpec(scenario("blocktower"), NUM_OBJECTS, SIZE, 0)
+    register()
+    spec = DatasetSpec(configured("blocktower"), NUM_OBJECTS, SIZE, 0)
     arrays = States(spec, data_dir).load()
-    scene, twin, rng = initial_scene(arrays, NUM_OBJECTS), arrays["twin"], np.random.default_rng(0)
-    stands = stand_on_paper(arrays, spec, 1)
-    mass, gravity_xy = spec.scenario.confounders.masses_and_gravities(NUM_OBJECTS)
-    plain = stands[:, (np.ptp(mass, axis=1) == 0) & (gravity_xy == 0).all(axis=1)][:, 0]
-    share = stands.mean(axis=1)
+    scene, twin = initial_scene(arrays, NUM_OBJECTS), arrays["twin"]
     table = Table("planted", "right", "best possible")
+    for name, rows, outcome, best in planted(arrays, spec.scenario):
+        found = ask_classifier(name, scene[rows], outcome[rows], twin[rows]).found
+        table.add_row(name, found, f"{best:.1%}")
+    Console().print(table)
 
-    def add(name: str, rows: np.ndarray, outcome: np.ndarray, best: float) -> None:
-        table.add_row(name, probe(name, scene[rows], outcome[rows], twin[rows]).found, f"{best:.1%}")
 
-    first = np.arange(0, len(twin), 2)
-    drawn = rng.random(len(twin)) < share
-    add("no twins, confounders drawn at random", first, drawn, float(np.maximum(share, 1 - share)[first].mean()))
-    add("no twins, always equal masses and upright gravity", first, plain, 1.0)
+def planted(arrays: dict[str, np.ndarray], scenario: Scenario) -> Iterator[Planted]:
+    """Outcomes that statics say of the geometries C."""
+    statics, rng = scenario.statics, np.random.default_rng(0)
+    assert statics is not None
+    stands = stand_on_paper(arrays, statics, 1)
+    mass, gravity_xy = scenario.confounders.masses_and_gravities(NUM_OBJECTS)
+    plain = stands[:, (np.ptp(mass, axis=1) == 0) & (gravity_xy == 0).all(axis=1)][:, 0]
+    share, every = stands.mean(axis=1), np.arange(len(stands))
+    first, drawn = every[::2], rng.random(len(every)) < share
+    best = float(np.maximum(share, 1 - share)[first].mean())
+    yield Planted("no twins, confounders drawn at random", first, drawn, best)
+    yield Planted("no twins, always equal masses and upright gravity", first, plain, 1.0)
     for broken in BROKEN:
         alike = np.repeat(rng.random(len(first)) < broken, 2)
-        opposite = np.arange(len(twin)) % 2 == 0
-        outcome = np.where(alike, plain, opposite)
-        add(f"{broken:.0%} of twins both as equal masses say", np.arange(len(twin)), outcome, 0.5 + alike.mean() / 2)
-    Console().print(table)
+        outcome = np.where(alike, plain, every % 2 == 0)
+        yield Planted(f"{broken:.0%} of twins both as equal masses say", every, outcome, 0.5 + alike.mean() / 2)
 
 
 if __name__ == "__main__":

@@ -5,10 +5,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
 ROOT = Path(__file__).parents[1]
 REPEATS = 5
@@ -41,14 +37,3 @@ def paired(first: Callable[[], object], second: Callable[[], object]) -> list[fl
     """CPU time of `first` ÷ that of `second`, REPEATS times in turn, after one of each that does not count."""
     first(), second()
     return [cpu_seconds(first) / cpu_seconds(second) for _ in range(REPEATS)]
-
-
-def composed(name: str, *overrides: str) -> Any:
-    """A configuration as the command line composes it."""
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return compose(name, list(overrides))
-
-
-def settings(name: str, *overrides: str) -> Any:
-    """The same, typed."""
-    return OmegaConf.to_object(composed(name, *overrides))

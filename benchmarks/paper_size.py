@@ -9,16 +9,15 @@ import time
 from pathlib import Path
 
 import pandas as pd
-from measure import settings
 from tqdm import tqdm
 
-from cophy import config
-from cophy.dataset.images import Images
-from cophy.dataset.shardset import ShardSet
+from cophy.app.composition import settings
 from cophy.dataset.spec import DatasetSpec, Size
-from cophy.dataset.states import States
+from cophy.dataset.store.images import Images
+from cophy.dataset.store.shardset import ShardSet
+from cophy.dataset.store.states import States
 from cophy.scenario import Scenario
-from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
+from cophy.scenario.rendering.frames import MODALITIES, Backend, RenderSettings
 
 NUM_SIMULATED, NUM_DRAWN = 400, 4  # some searches are long, every picture costs the same
 RENDERS = {
@@ -30,7 +29,6 @@ RENDERS = {
 
 def main() -> None:
     """Measure, then print."""
-    config.register()
     seconds, sizes = {}, {}
     for name in ("blocktower", "balls", "collision"):
         chosen = settings("generate", f"scenario={name}", "size=paper")
@@ -40,9 +38,9 @@ def main() -> None:
             seconds[key] = {what: spent for what, (spent, _) in took.items()}
             sizes[key] = {what: stored for what, (_, stored) in took.items()}
     print("CPU-s per experiment, and CPU-hours of all experiments on one core\n")
-    print(table(seconds, per=3600, digits=2))
+    print(table(seconds, per=3600))
     print("\nMiB per experiment, and GiB of all experiments\n")
-    print(table(sizes, per=1024, digits=2))
+    print(table(sizes, per=1024))
 
 
 def measure(scenario: Scenario, num_objects: int) -> dict[str, tuple[float, float]]:
@@ -68,24 +66,24 @@ def make(shards: ShardSet) -> tuple[float, float]:
     shards.directory.mkdir(parents=True, exist_ok=True)
     count, path = shards.spec.num_experiments, shards.path(0)
     with tqdm(total=count, desc=shards.title, leave=False) as bar:
+
+        def advance(done: int) -> None:
+            bar.update(done)
+
         start = time.process_time()
-        shards.write(path, 0, bar.update)
+        shards.write(path, 0, advance)
         seconds = time.process_time() - start
     return seconds / count, path.stat().st_size / count / 2**20
 
 
-def table(each: dict[tuple[str, int], dict[str, float]], *, per: float, digits: int) -> str:
+def table(each: dict[tuple[str, int], dict[str, float]], *, per: float) -> str:
     """Per dataset and kind: what one experiment takes, and what all take in units of `per`; their sum below."""
     totals = {key: {what: value * key[1] / per for what, value in row.items()} for key, row in each.items()}
     rows = [
         {"dataset": name, "experiments": str(count)}
-        | {what: f"{value:.{digits}f}, {totals[name, count][what]:.1f}" for what, value in row.items()}
+        | {what: f"{value:.2f}, {totals[name, count][what]:.1f}" for what, value in row.items()}
         for (name, count), row in each.items()
     ]
-    summed = {what: f"{total:.1f}" for what, total in pd.DataFrame(totals.values()).sum().items()}
+    summed = {str(what): f"{total:.1f}" for what, total in pd.DataFrame(totals.values()).sum().items()}
     rows.append({"dataset": "together", "experiments": str(sum(count for _, count in each))} | summed)
     return str(pd.DataFrame(rows).to_markdown(index=False))
-
-
-if __name__ == "__main__":
-    main()

@@ -9,12 +9,13 @@ lie in data_dir; half a minute on one core.
 """
 
 import sys
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from measure import settings
 from rich.console import Console
 from rich.table import Table
 from sklearn.base import ClassifierMixin
@@ -25,33 +26,47 @@ from sklearn.preprocessing import StandardScaler
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from cophy import config
-from cophy.dataset.datamodule import CounterfactualDataModule
-from cophy.training.inference import TrainedPredictor
+from cophy.app.composition import settings
+from cophy.app.registration import SCENARIOS, register
+from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.dataset.source import generated_sets
 from cophy.training.metrics import mean_squared_error
-from cophy.training.probe import estimate
+from cophy.training.runs.probe import estimate
+from cophy.training.trained.trained_predictor import TrainedPredictor
 from cophy.types import Batch
 
 NUM_BLOCKS = 3
 NOISE_M = (0.0, 0.001, 0.01, 0.05, 0.1)
 
 
+class Blocks(NamedTuple):
+    """Three blocks of each experiment, from bottom to top.
+
+    Attributes:
+        u: (experiment, 3, H) their U.
+        offset: (experiment, 3, 3) offsets in A from the lowest, metres.
+        classes: (experiment, 3, 2) of mass and friction.
+        falls: (experiment,) whether A falls.
+    """
+
+    u: Tensor
+    offset: Tensor
+    classes: Tensor
+    falls: Tensor
+
+
 def main(run: Path, data_dir: Path) -> None:
     """Print both tables."""
-    config.register()
+    register()
     chosen = settings("train", "scenario=blocktower", "split=3to3")
+    (towers,) = generated_sets(
+        chosen.scenario, chosen.split, None, size=chosen.size, data_seed=chosen.data_seed, data_dir=data_dir
+    )
     data = CounterfactualDataModule(
-        scenario=chosen.scenario,
-        split=chosen.split,
-        size=chosen.size,
-        seed=0,
-        data_dir=data_dir,
-        source=chosen.source,
-        batch_size=chosen.training.batch_size,
-        workers=1,
+        chosen.split, train_set=towers, test_set=towers, batch_size=chosen.training.batch_size, workers=1
     )
     data.setup()
-    network = TrainedPredictor(run / "checkpoints" / "best.ckpt").network
+    network = TrainedPredictor(run / "checkpoints" / "best.ckpt", SCENARIOS).network
     Console().print(probes(network, data.train.batch, data.test.batch))
     Console().print(blurred(network, data.test.batch))
 
@@ -62,13 +77,8 @@ def probes(network: nn.Module, train: Batch, test: Batch) -> Table:
     parts = [_from_bottom_to_top(network, batch) for batch in (train, test)]
     kinds = (("linear", False), ("trees", False), ("trees", True))
     for (kind, whole), name in tqdm(list(product(kinds, ("all", "falls", "stands"))), unit="probe"):
-        (seen, classes), (asked, truth) = (_group(*part, name, whole=whole) for part in parts)
-        right = np.stack(
-            [
-                [_classifier(kind).fit(seen[k], classes[k, :, c]).predict(asked[k]) == truth[k, :, c] for c in (0, 1)]
-                for k in range(NUM_BLOCKS)
-            ]
-        )  # block, confounder, experiment
+        train_group, test_group = (_group(part, name, whole=whole) for part in parts)
+        right = _right(kind, train_group, test_group)
         shares = [f"{100 * r.mean():.0f}" for r in (right[:, 0], right[:, 1], right.all(axis=1))]
         table.add_row(kind, "all U, A" if whole else "its U", name, str(right[:, 0].size), *shares)
     return table
@@ -76,38 +86,48 @@ def probes(network: nn.Module, train: Batch, test: Batch) -> Table:
 
 def blurred(network: nn.Module, test: Batch) -> Table:
     """MSE of D where AB is seen with noise; C is seen as it is."""
-    table = Table("noise of AB, m", "MSE")
+    table, inputs = Table("noise of AB, m", "MSE"), test.inputs
     for noise_m in NOISE_M:
-        noise = noise_m * torch.randn(test.observed.shape, generator=torch.Generator().manual_seed(0))
-        observed = test.observed + noise * test.observed_presence[:, None, :, None]
+        noise = noise_m * torch.randn(inputs.observed.shape, generator=torch.Generator().manual_seed(0))
+        observed = inputs.observed + noise * inputs.observed_presence[:, None, :, None]
         with torch.no_grad():
-            prediction = network(test._replace(observed=observed))
-        table.add_row(f"{noise_m:g}", f"{mean_squared_error(dims=3)(prediction, test).mean():.3f}")
+            prediction = network(replace(inputs, observed=observed))
+        table.add_row(f"{noise_m:g}", f"{mean_squared_error(dims=3)(prediction, test.targets).mean():.3f}")
     return table
 
 
-def _from_bottom_to_top(network: nn.Module, batch: Batch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """U (N, 3, H), offsets in A (N, 3, 3), classes of mass and friction (N, 3, 2), and whether A falls (N,)."""
-    u = estimate(network, batch, batch_size=256)
+def _from_bottom_to_top(network: nn.Module, batch: Batch) -> Blocks:
+    inputs = batch.inputs
+    u = estimate(network, inputs, batch_size=256)
     assert u is not None, "this model makes no estimate U"
-    height = batch.observed[:, 0, :, 2].masked_fill(~batch.observed_presence, torch.inf)
+    height = inputs.observed[:, 0, :, 2].masked_fill(~inputs.observed_presence, torch.inf)
     order = height.argsort(dim=1)[:, :NUM_BLOCKS, None]
     u, first, classes = (
         tensor.gather(1, order.expand(-1, -1, tensor.shape[-1]))
-        for tensor in (u, batch.observed[:, 0], batch.confounder_class)
+        for tensor in (u, inputs.observed[:, 0], batch.targets.confounder_class)
     )
-    falls = (~batch.observed_stable.all(dim=1) & batch.observed_presence).any(dim=1)
-    return u, first - first[:, :1], classes, falls
+    falls = (~inputs.observed_stable.all(dim=1) & inputs.observed_presence).any(dim=1)
+    return Blocks(u, first - first[:, :1], classes, falls)
 
 
-def _group(
-    u: Tensor, offset: Tensor, classes: Tensor, falls: Tensor, name: str, *, whole: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """(3, n, features) and (3, n, 2) of the experiments of a group."""
+def _group(blocks: Blocks, name: str, *, whole: bool) -> tuple[np.ndarray, np.ndarray]:
+    """(3, n, features) and classes (3, n, 2) of the experiments of a group."""
+    falls = blocks.falls
     chosen = {"all": torch.ones_like(falls), "falls": falls, "stands": ~falls}[name]
-    context = torch.cat([u.flatten(1), offset.flatten(1)], dim=1)[:, None].expand(-1, NUM_BLOCKS, -1)
-    features = context if whole else u
-    return features[chosen].transpose(0, 1).numpy(), classes[chosen].transpose(0, 1).numpy()
+    tower = torch.cat([blocks.u.flatten(1), blocks.offset.flatten(1)], dim=1)[:, None].expand(-1, NUM_BLOCKS, -1)
+    features = tower if whole else blocks.u
+    return features[chosen].transpose(0, 1).numpy(), blocks.classes[chosen].transpose(0, 1).numpy()
+
+
+def _right(kind: str, train: tuple[np.ndarray, np.ndarray], test: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """(block, confounder, experiment) bool: what a classifier, fitted on `train`, says rightly of `test`."""
+    (seen, classes), (asked, truth) = train, test
+
+    def answers(block: int, confounder: int) -> np.ndarray:
+        classifier = _classifier(kind).fit(seen[block], classes[block, :, confounder])
+        return np.asarray(classifier.predict(asked[block]) == truth[block, :, confounder])
+
+    return np.stack([[answers(block, confounder) for confounder in (0, 1)] for block in range(NUM_BLOCKS)])
 
 
 def _classifier(kind: str) -> ClassifierMixin:

@@ -7,6 +7,7 @@ classifier per block and confounder, apart for falling and for standing A. Eleve
 
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from physics import scenario
@@ -15,39 +16,74 @@ from rich.table import Table
 from sklearn.ensemble import HistGradientBoostingClassifier
 from tqdm import tqdm
 
-from cophy import config
+from cophy.app.registration import register
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.splits import SPLITS
-from cophy.dataset.states import States
+from cophy.dataset.store.states import States
 
 NOISE_M = (0.0, 0.001, 0.01, 0.03)
 FRAMES = (1, 2, 3, 4, 5, 6, 8, 10, 14, 29)  # after the first; the fall is over by the tenth
 NUM_BLOCKS = 3
+SIZE = Size("12k", 100, {"blocktower": {"3": 12000}})
+
+
+class Blocks(NamedTuple):
+    """Three blocks of every tower, from bottom to top.
+
+    Attributes:
+        position: (tower, frame, 3, xyz) in AB, metres.
+        mass: (tower, 3) kg.
+        friction: (tower, 3).
+        falls: (tower,) whether AB falls.
+        split: (tower,) index into SPLITS.
+    """
+
+    position: np.ndarray
+    mass: np.ndarray
+    friction: np.ndarray
+    falls: np.ndarray
+    split: np.ndarray
 
 
 def main(data_dir: Path) -> None:
     """Print the table."""
-    config.register()
+    register()
+    blocks = stored_blocks(data_dir)
+    table = Table("noise, m", "A", "test blocks", "mass, %", "friction, %", "both (4-way), %")
+    for noise_m in tqdm(NOISE_M, unit="noise"):
+        seen = features(blocks.position + np.random.default_rng(0).normal(0, noise_m, blocks.position.shape))
+        for name, chosen in (("falls", blocks.falls), ("stands", ~blocks.falls)):
+            table.add_row(f"{noise_m:g}", name, *scores(blocks, seen, chosen))
+    Console().print(table)
+
+
+def stored_blocks(data_dir: Path) -> Blocks:
+    """Of the dataset of 12,000 towers."""
     towers = scenario("blocktower")
-    arrays = States(DatasetSpec(towers, NUM_BLOCKS, Size("12k", 100, {"blocktower": {"3": 12000}}), 0), data_dir).load()
+    arrays = States(DatasetSpec(towers, NUM_BLOCKS, SIZE, 0), data_dir).load()
     slots = np.stack([(arrays["object_index"] == level).argmax(axis=1) for level in range(NUM_BLOCKS)], axis=1)
     mass, friction = (np.take_along_axis(arrays[name], slots, axis=1) for name in ("mass", "friction"))
     frames = arrays["states"][:, 0, :: towers.clock.states_per_frame, :, :3]
-    position = np.take_along_axis(frames, slots[:, None, :, None], axis=2).astype(np.float64)  # bottom to top
+    position = np.take_along_axis(frames, slots[:, None, :, None], axis=2).astype(np.float64)
     falls = np.linalg.norm(position - position[:, :1], axis=-1).max(axis=(1, 2)) > towers.fallen_distance
-    train, test = (arrays["split"] == SPLITS.index(split) for split in ("train", "test"))
-    table = Table("noise, m", "A", "test blocks", "mass, %", "friction, %", "both (4-way), %")
-    for noise_m in tqdm(NOISE_M, unit="noise"):
-        seen = features(position + np.random.default_rng(0).normal(0, noise_m, position.shape))
-        for name, chosen in (("falls", falls), ("stands", ~falls)):
-            a, b = train & chosen, test & chosen
-            right = [
-                np.stack([_right(seen[a], of[a, k], seen[b], of[b, k]) for k in range(NUM_BLOCKS)])
-                for of in (mass, friction)
-            ]
-            shares = [f"{100 * r.mean():.0f}" for r in (*right, right[0] & right[1])]
-            table.add_row(f"{noise_m:g}", name, str(NUM_BLOCKS * b.sum()), *shares)
-    Console().print(table)
+    return Blocks(position, mass, friction, falls, arrays["split"])
+
+
+def scores(blocks: Blocks, seen: np.ndarray, chosen: np.ndarray) -> list[str]:
+    """Number of test blocks, and the shares read rightly of mass, friction, and both.
+
+    Args:
+        blocks: Of all towers.
+        seen: (tower, feature) what the classifiers see.
+        chosen: (tower,) bool, which towers they are fitted and tested on.
+    """
+    train, test = (chosen & (blocks.split == SPLITS.index(split)) for split in ("train", "test"))
+    mass, friction = (
+        np.stack([_right(seen[train], of[train, k], seen[test], of[test, k]) for k in range(NUM_BLOCKS)])
+        for of in (blocks.mass, blocks.friction)
+    )
+    shares = [f"{100 * right.mean():.0f}" for right in (mass, friction, mass & friction)]
+    return [str(NUM_BLOCKS * test.sum()), *shares]
 
 
 def features(position: np.ndarray) -> np.ndarray:
@@ -60,7 +96,7 @@ def features(position: np.ndarray) -> np.ndarray:
 
 def _right(train: np.ndarray, of_train: np.ndarray, test: np.ndarray, of_test: np.ndarray) -> np.ndarray:
     classifier = HistGradientBoostingClassifier(random_state=0).fit(train, of_train > of_train.mean())
-    return classifier.predict(test) == (of_test > of_train.mean())
+    return np.asarray(classifier.predict(test) == (of_test > of_train.mean()))
 
 
 if __name__ == "__main__":

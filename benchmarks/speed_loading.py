@@ -5,41 +5,43 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from measure import REPEATS, Measured, composed, cpu_seconds, paired, settings
-from omegaconf import OmegaConf
-from speed_training import network, random_batch, training_step
+from measure import REPEATS, Measured, cpu_seconds, paired
+from speed_training import EXPERIMENTS_PER_EPOCH, KINDS, Step, network, random_batch, training_step
 
-from cophy.dataset.counterfactual import CounterfactualDataset
-from cophy.dataset.frames import FrameBatch, FrameDataModule
+from cophy.app.composition import composed, settings, to_plain
+from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
+from cophy.dataset.feed.frame_datamodule import FrameDataModule
+from cophy.dataset.feed.frame_dataset import FrameBatch
+from cophy.dataset.source import generated_sets
 from cophy.models.derenderer import Derenderer
-from cophy.training.derendering import DerenderingModule
-from cophy.training.run import build_network
+from cophy.training.derendering_module import DerenderingModule
+from cophy.training.trained.network import build_network
+from cophy.types import map_tensors
 
-NUM_EXPERIMENTS = 2800  # that train at size=small
+NUM_FRAMES = 1600
 
 
 def measure() -> list[Measured]:
     """Ratios of loading to training."""
-    batch_size, model = settings("train").training.batch_size, network()
-    experiments, step = CounterfactualDataset(random_batch(NUM_EXPERIMENTS, 4, 3)), training_step(model, model)
-
-    def load() -> None:
-        for _ in experiments.loader(batch_size, shuffle=True):
-            pass
-
-    def copy() -> None:
-        for tensor in filter(torch.is_tensor, experiments.batch):
-            tensor.clone()
-
-    def train() -> None:
-        for batch in experiments.loader(batch_size, shuffle=True):
-            step(batch)
-
+    model, experiments = network(), epoch_of_towers()
+    load, train = epoch(experiments, lambda batch: None), epoch(experiments, training_step(model, model))
+    copies = paired(load, lambda: map_tensors(torch.clone, experiments.batch))
     return [
-        Measured("loading experiments", "epoch of batches ÷ one memory copy", paired(load, copy)),
+        Measured("loading experiments", "epoch of batches ÷ one memory copy", copies),
         Measured("loading experiments", "epoch of batches ÷ training epoch", paired(load, train), "≤ 0.02"),
         *frames(),
     ]
+
+
+def epoch_of_towers() -> CounterfactualDataset:
+    """As many random experiments as train at size=small."""
+    return CounterfactualDataset(random_batch(EXPERIMENTS_PER_EPOCH, *KINDS["towers, 3 of 4 slots"]))
+
+
+def epoch(experiments: CounterfactualDataset, step: Step) -> Callable[[], object]:
+    """The step with every batch of the default size."""
+    batch_size = settings("train").training.batch_size
+    return lambda: [step(batch) for batch in experiments.loader(batch_size, shuffle=True)]
 
 
 def frames() -> list[Measured]:
@@ -52,11 +54,7 @@ def frames() -> list[Measured]:
         step = derendering_step(data)
         waiting, working = [], []
         for _ in range(REPEATS):
-            batches = iter(data.train_dataloader())
-            fetched: list[FrameBatch] = []
-            fetching = cpu_seconds(lambda batches=batches, fetched=fetched: fetched.extend(batches))
-            training = cpu_seconds(lambda fetched=fetched: [step(batch) for batch in fetched])
-            alone = cpu_seconds(lambda: [data.train[item] for item in range(len(data.train))])
+            fetching, training, alone = frame_epoch(data, step)
             waiting.append(fetching / training)
             working.append(alone / training)
     return [
@@ -65,20 +63,23 @@ def frames() -> list[Measured]:
     ]
 
 
+def frame_epoch(data: FrameDataModule, step: Callable[[FrameBatch], object]) -> tuple[float, float, float]:
+    """CPU-s of this process to receive all batches, to train on them, and to read all frames itself."""
+    batches, fetched = iter(data.train_dataloader()), list[FrameBatch]()
+    fetching = cpu_seconds(lambda: fetched.extend(batches))
+    training = cpu_seconds(lambda: [step(batch) for batch in fetched])
+    return fetching, training, cpu_seconds(lambda: [data.train[item] for item in range(len(data.train))])
+
+
 def frame_data(data_dir: Path) -> FrameDataModule:
-    """1,600 frames of freshly drawn towers, two workers."""
+    """NUM_FRAMES frames of freshly drawn towers, two workers."""
     chosen = settings("train", "model=derenderer", "size=tiny")
     data = FrameDataModule(
-        scenario=chosen.scenario,
-        split=chosen.split,
-        num_objects=None,
-        size=chosen.size,
-        seed=0,
-        data_dir=data_dir,
-        source=chosen.source,
+        generated_sets(chosen.scenario, chosen.split, None, size=chosen.size, data_seed=0, data_dir=data_dir),
         render=chosen.render,
         resolution=chosen.model.resolution,
-        num_frames=1600,
+        num_images=NUM_FRAMES,
+        data_seed=0,
         batch_size=chosen.training.batch_size,
         workers=2,
     )
@@ -87,21 +88,20 @@ def frame_data(data_dir: Path) -> FrameDataModule:
     return data
 
 
-def derendering_step(data: FrameDataModule) -> Callable[[FrameBatch], None]:
+def derendering_step(data: FrameDataModule) -> Callable[[FrameBatch], object]:
     """Forward, backward and Adam of the de-renderer as conf/ has it."""
-    config = composed("train", "model=derenderer", "size=tiny")
     torch.manual_seed(0)
-    model = build_network(OmegaConf.to_container(config.model, resolve=True, enum_to_str=True))
+    model = build_network(to_plain(composed("train", "model=derenderer").model))
     assert isinstance(model, Derenderer)
     model.scale_(*data.train.position_statistics())
-    module = DerenderingModule(model, settings("train", "model=derenderer").training, config={})
+    module = DerenderingModule(model, settings("train", "model=derenderer").training)
     module.log = module.log_dict = lambda *args, **kwargs: None  # type: ignore[method-assign, assignment]
     optimizer = torch.optim.Adam(model.parameters())
 
     def step(batch: FrameBatch) -> None:
         loss = module.training_step(batch)
         optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
 
     return step

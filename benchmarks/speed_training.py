@@ -1,99 +1,120 @@
-"""CoPhyNet's training step against the plain loop of the same maths (reference.py), and what Lightning adds to it."""
+"""CoPhyNet's training step: batch sizes and precisions against each other, and what Lightning adds to it."""
 
 import logging
 import tempfile
 import warnings
 from collections.abc import Callable
+from typing import NamedTuple
 
 import lightning as L
-import reference
 import torch
-from measure import Measured, composed, paired, settings
-from omegaconf import OmegaConf
+from measure import Measured, paired
 
-from cophy.dataset.counterfactual import CounterfactualDataset
+from cophy.app.composition import composed, settings, to_plain
+from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
 from cophy.models.cophynet import CoPhyNet
 from cophy.training.augmentation import symmetries_for
 from cophy.training.losses import position_loss, stability_loss
-from cophy.training.prediction import PredictionModule
-from cophy.training.run import build_network
-from cophy.types import CONFOUNDERS, Batch, Prediction
+from cophy.training.prediction_module import PredictionModule
+from cophy.training.trained.network import build_network
+from cophy.types import Batch, Inputs, Prediction, Targets, map_tensors
 
-PLAIN_BATCH = 32
-STEPS_PER_PLAIN_ONE = 4  # so that both of a pair take about as long
-# what is trained on: slots, objects present, and what is to be reached at the plain loop's batch and at the default one
-KINDS = {"towers, 3 of 4 slots": (4, 3, "≥ 3", "≥ 5"), "balls, 4 of 9 slots": (9, 4, "≥ 8", "≥ 12")}
+Step = Callable[[Batch], object]
+
+BATCH_SIZES = (32, 512)  # besides the default
+EXPERIMENTS_AT_ONCE = 512  # that one of a pair of runs trains on
+EXPERIMENTS_PER_EPOCH = 2800  # the training split of size=small
+
+
+class Kind(NamedTuple):
+    """What is trained on: so many objects, anywhere among the slots."""
+
+    slots: int
+    objects: int
+
+
+KINDS = {"towers, 3 of 4 slots": Kind(4, 3), "balls, 4 of 9 slots": Kind(9, 4)}
 
 
 def measure() -> list[Measured]:
-    """Throughput of forward, backward and Adam, then of a whole epoch."""
+    """Throughput by batch size, CPU time by precision, then a whole epoch."""
     default = settings("train").training.batch_size
     rows = []
-    for kind, (slots, objects, reach, reach_at_default) in KINDS.items():
-        for size, goal in ((PLAIN_BATCH, reach), (default, reach_at_default), (512, "")):
-            ratios = [size / PLAIN_BATCH * ratio for ratio in against_the_plain_loop(size, slots, objects)]
-            rows.append(Measured(f"CoPhyNet, {kind}, batch {size}", "experiments/s ÷ plain loop's at 32", ratios, goal))
-    rows.append(
-        Measured("CoPhyNet, Lightning and metrics", "epoch ÷ its forward, backward, Adam", whole_epochs(default))
-    )
-    return rows
+    for name, kind in KINDS.items():
+        for size in BATCH_SIZES:
+            ratios = paired(training(default, kind), training(size, kind))
+            rows.append(Measured(f"CoPhyNet, {name}, batch {size}", f"experiments/s ÷ that at {default}", ratios))
+        for precision, ratios in precisions(default, kind).items():
+            rows.append(Measured(f"CoPhyNet, {name}, {precision}", "CPU time ÷ that in float32", ratios))
+    lightning = Measured("CoPhyNet, Lightning and metrics", "epoch ÷ its bare steps", whole_epochs(default))
+    return [*rows, lightning]
 
 
 def network() -> CoPhyNet:
     """The model as conf/ has it."""
     torch.manual_seed(0)
-    built = build_network(OmegaConf.to_container(composed("train").model, resolve=True, enum_to_str=True))
+    built = build_network(to_plain(composed("train").model))
     assert isinstance(built, CoPhyNet)
     return built
 
 
-def training_step(predict: Callable[[Batch], Prediction], model: CoPhyNet) -> Callable[[Batch], None]:
+def training_step(predict: Callable[[Inputs], Prediction], model: CoPhyNet) -> Step:
     """Forward, backward and Adam."""
     optimizer = torch.optim.Adam(model.parameters())
 
     def step(batch: Batch) -> None:
-        prediction = predict(batch)
+        prediction = predict(batch.inputs)
         assert prediction.stable_logit is not None
-        loss = position_loss(prediction, batch) + stability_loss(prediction.stable_logit, batch)
+        loss = position_loss(prediction, batch.targets) + stability_loss(prediction.stable_logit, batch.targets)
         optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
 
     return step
 
 
-def against_the_plain_loop(batch_size: int, slots: int, objects: int) -> list[float]:
-    """CPU time of a step of the plain loop ÷ that of a step of `batch_size`."""
+def training(size: int, kind: Kind) -> Callable[[], object]:
+    """Training on EXPERIMENTS_AT_ONCE experiments, in batches of `size`."""
     model = network()
-    plain = training_step(lambda batch: reference.predict(model, batch), model)
-    fast = training_step(model, model)
-    small, large = (random_batch(size, slots, objects) for size in (PLAIN_BATCH, batch_size))
-    ratios = paired(lambda: plain(small), lambda: [fast(large) for _ in range(STEPS_PER_PLAIN_ONE)])
-    return [STEPS_PER_PLAIN_ONE * ratio for ratio in ratios]
+    return repeated(training_step(model, model), random_batch(size, *kind))
+
+
+def repeated(step: Step, batch: Batch) -> Callable[[], object]:
+    """The step, so often that it has seen EXPERIMENTS_AT_ONCE experiments."""
+    return lambda: [step(batch) for _ in range(EXPERIMENTS_AT_ONCE // len(batch))]
+
+
+def precisions(size: int, kind: Kind) -> dict[str, list[float]]:
+    """CPU time of a step in bfloat16 autocast, and in float64, ÷ that of one in float32."""
+    single, mixed, double = network(), network(), network().double()
+    batch = random_batch(size, *kind)
+    batch_in_double = map_tensors(lambda tensor: tensor.double() if tensor.is_floating_point() else tensor, batch)
+
+    def predict_mixed(inputs: Inputs) -> Prediction:
+        with torch.autocast("cpu", torch.bfloat16):
+            prediction = mixed(inputs)
+        assert isinstance(prediction, Prediction)
+        return prediction
+
+    in_single = repeated(training_step(single, single), batch)
+    in_mixed = repeated(training_step(predict_mixed, mixed), batch)
+    in_double = repeated(training_step(double, double), batch_in_double)
+    return {"bfloat16 autocast": paired(in_mixed, in_single), "float64": paired(in_double, in_single)}
 
 
 def whole_epochs(batch_size: int) -> list[float]:
     """CPU time of an epoch under Lightning, without validation, ÷ that of its bare steps."""
-    chosen, model = settings("train"), network()
-    data, step = CounterfactualDataset(random_batch(2800, 4, 3)), training_step(model, model)
-    symmetries = symmetries_for(chosen.split.train, chosen.scenario)
-    module = PredictionModule(model, chosen.training, chosen.scenario, symmetries, config={})
+    model = network()
+    data = CounterfactualDataset(random_batch(EXPERIMENTS_PER_EPOCH, *KINDS["towers, 3 of 4 slots"]))
+    step = training_step(model, model)
+    module = lightning_module(model)
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-    warnings.filterwarnings("ignore", "You defined a `validation_step`")
-    module.setup = lambda stage: None  # type: ignore[method-assign]
+    for harmless in ("You defined a `validation_step`", ".*does not have many workers", ".*LeafSpec"):
+        warnings.filterwarnings("ignore", harmless)
 
     def lightning() -> None:
         with tempfile.TemporaryDirectory() as directory:
-            trainer = L.Trainer(
-                max_epochs=1,
-                logger=False,
-                enable_checkpointing=False,
-                enable_progress_bar=False,
-                enable_model_summary=False,
-                gradient_clip_val=chosen.trainer.gradient_clip_val,
-                default_root_dir=directory,
-            )
-            trainer.fit(module, data.loader(batch_size, shuffle=True))
+            quiet_trainer(directory).fit(module, data.loader(batch_size, shuffle=True))
 
     def bare() -> None:
         for each in data.loader(batch_size, shuffle=True):
@@ -102,19 +123,50 @@ def whole_epochs(batch_size: int) -> list[float]:
     return paired(lightning, bare)
 
 
+def lightning_module(model: CoPhyNet) -> PredictionModule:
+    """As a run has it, towers of three."""
+    chosen = settings("train")
+    symmetries = symmetries_for(chosen.split.train, chosen.scenario)
+    return PredictionModule(
+        model, chosen.training, chosen.scenario, symmetries=symmetries, missed_position=torch.zeros(3)
+    )
+
+
+def quiet_trainer(directory: str) -> L.Trainer:
+    """One epoch, nothing written or shown."""
+    return L.Trainer(
+        max_epochs=1,
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        gradient_clip_val=settings("train").trainer.gradient_clip_val,
+        default_root_dir=directory,
+    )
+
+
 def random_batch(size: int, slots: int, objects: int) -> Batch:
-    """So many objects in each experiment, anywhere among the slots, thirty frames."""
+    """Experiments of thirty frames that mean nothing.
+
+    Args:
+        size: How many.
+        slots: Of every experiment.
+        objects: How many are present in each, anywhere among the slots.
+    """
     presence = torch.rand(size, slots).argsort(dim=1) < objects
-    return Batch(
+    inputs = Inputs(
         observed=torch.randn(size, 30, slots, 3) * presence[:, None, :, None],
         observed_presence=presence,
         observed_stable=torch.rand(size, 29, slots) > 0.5,
         initial=torch.randn(size, slots, 3) * presence[..., None],
         presence=presence,
-        confounders=torch.randn(size, slots, len(CONFOUNDERS)),
-        confounder_class=torch.randint(0, 2, (size, slots, 2)),
-        target=torch.randn(size, 29, slots, 3),
-        target_initial=torch.randn(size, slots, 3),
-        target_presence=presence,
-        stable=torch.rand(size, 29, slots) > 0.5,
     )
+    targets = Targets(
+        position=torch.randn(size, 29, slots, 3),
+        stable=torch.rand(size, 29, slots) > 0.5,
+        presence=presence,
+        initial=inputs.initial,
+        observed_presence=presence,
+        confounder_class=torch.randint(0, 2, (size, slots, 2)),
+    )
+    return Batch(inputs, targets)

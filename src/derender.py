@@ -5,41 +5,28 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from cophy import cli, config
-from cophy.dataset import generation
+from cophy.app import cli
+from cophy.app.composition import to_config
+from cophy.app.datasets import experiments_of
+from cophy.app.registration import register
+from cophy.app.schemas import DerenderConfig
 
-config.register()
+register()
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="derender")
 def main(cfg: DictConfig) -> None:
-    from cophy.dataset.estimates import Estimates  # torch takes seconds to import; --help does not need it
-    from cophy.dataset.images import Images
-    from cophy.dataset.source import pictures_of
-    from cophy.training.derenderers import TrainedDerenderer, find
+    from cophy.training.trained.derendering import derender  # torch takes seconds to import; --help does not need it
+    from cophy.training.trained.trained_derenderer import TrainedDerenderer, find_derenderer
 
-    settings: config.DerenderConfig = cli.to_config(cfg)
-    settings.split.check_scenario(settings.scenario)
-    counts = settings.num_objects or sorted({settings.split.train.num_objects, settings.split.test.num_objects})
-    chosen = [
-        settings.source.states(
-            settings.scenario, count, split=settings.split, size=settings.size, seed=settings.seed,
-            data_dir=Path(settings.data_dir),
-        )
-        for count in counts
-    ]  # fmt: skip
+    settings = to_config(cfg, DerenderConfig)
+    chosen = experiments_of(settings, settings.num_objects)
     if settings.derenderer is not None:
         derenderer = TrainedDerenderer(Path(settings.derenderer))
     else:
-        derenderer = find(Path(settings.outputs), settings.scenario.name, set(counts), settings.split.name)
-    derenderer.check(chosen)
-    for states in chosen:
-        images = pictures_of(states, derenderer.render)
-        estimates = Estimates(images, derenderer)
-        generation.ensure(states, workers=settings.workers)
-        if isinstance(images, Images) and not estimates.is_finished():
-            generation.ensure(images, workers=settings.workers)
-        generation.make(estimates, workers=settings.workers)
+        counts = set(settings.split.counts(settings.num_objects))
+        derenderer = find_derenderer(Path(settings.outputs), settings.scenario.name, counts, settings.split.name)
+    derender(chosen, derenderer, workers=settings.workers)
 
 
 if __name__ == "__main__":

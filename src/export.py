@@ -1,28 +1,27 @@
-"""Generated data in the layout of a released dataset: python src/export.py scenario=balls root=/where/CoPhy_224"""
+"""Generated data in the format of a released dataset: python src/export.py scenario=balls root=/where/CoPhy_224"""
 
 from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig
 
-from cophy import cli, config
-from cophy.dataset import generation
-from cophy.dataset.external.export import export
-from cophy.dataset.images import Images
-from cophy.dataset.states import States
-from generate import specs
+from cophy.app import cli
+from cophy.app.composition import to_config
+from cophy.app.datasets import generated_by
+from cophy.app.registration import register
+from cophy.app.schemas import ExportConfig
 
-config.register()
+register()
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="export")
 def main(cfg: DictConfig) -> None:
-    settings: config.ExportConfig = cli.to_config(cfg)
-    for spec in specs(settings):
-        states = States(spec, Path(settings.data_dir))
-        images = Images(states, settings.render)
-        generation.ensure(states, workers=settings.workers)
-        generation.ensure(images, workers=settings.workers)
+    from cophy.dataset.released.export.exporter import export
+
+    settings = to_config(cfg, ExportConfig)
+    for states in generated_by(settings):
+        images = states.frames(settings.render)
+        images.ensure(workers=settings.workers)
         export(images, Path(settings.root))
 
 

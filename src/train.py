@@ -6,37 +6,39 @@ from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from cophy import cli, config
+from cophy.app import cli
+from cophy.app.composition import to_config, to_plain
+from cophy.app.registration import register
+from cophy.app.schemas import TrainConfig
 
-config.register()
+register()
+log = logging.getLogger(__name__)
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="train")
 def main(cfg: DictConfig) -> float:
-    from cophy.training.row import Row
-    from cophy.training.run import run_row  # Lightning takes seconds to import; --help does not need it
+    from cophy.app.assembly import run_configured  # Lightning takes seconds to import; --help does not need it
+    from cophy.training.runs.identity import Run
+    from cophy.training.runs.results import forget_results, write_failure
 
-    chosen = HydraConfig.get().runtime
-    source = chosen.choices["source"]
-    row = Row(
-        **{group: chosen.choices[group] for group in ("scenario", "split", "model", "ablation")},
-        size=chosen.choices["size"] if source == "generated" else source,  # released data have the size they have
+    chosen = HydraConfig.get()
+    choices = chosen.runtime.choices
+    run = Run(
+        **{group: choices[group] for group in ("scenario", "split", "model", "ablation")},
+        size=choices["size"] if choices["source"] == "generated" else choices["source"],  # released data have their own
         positions=cfg.positions,
         seed=cfg.seed,
-        directory=Path(chosen.output_dir),
+        directory=Path(chosen.runtime.output_dir),
     )
-    resolved = OmegaConf.to_container(cfg, resolve=True, enum_to_str=True)
-    row.start()
+    forget_results(run)
     try:
-        settings: config.TrainConfig = cli.to_config(cfg)
-        return run_row(settings, row, resolved).get("mse", float("nan"))
+        return run_configured(to_config(cfg, TrainConfig), to_plain(cfg), run).get("mse", float("nan"))
     except Exception as error:
-        row.fail(error)
-        if HydraConfig.get().mode is RunMode.MULTIRUN:  # the other rows go on; Hydra names only the first that failed
-            trace = not cli.is_mendable(error)
-            logging.getLogger(__name__).error("%s failed: %s", row.place, error, exc_info=trace)
+        write_failure(run, error)
+        if chosen.mode is RunMode.MULTIRUN:  # the other rows go on; Hydra names only the first that failed
+            log.error("%s failed: %s", run.place, error, exc_info=not cli.is_mendable(error))
         raise
 
 

@@ -2,39 +2,29 @@
 
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from filelock import FileLock
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
-from cophy import config
+from cophy.app.composition import settings
+from cophy.app.registration import register
 from cophy.dataset import generation
-from cophy.dataset.counterfactual import to_batch
+from cophy.dataset.feed.batches import to_batch
+from cophy.dataset.feed.confounder_features import confounder_features
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import States
+from cophy.dataset.store.states import States
 from cophy.scenario import Scenario, Simulator
 from cophy.types import Batch
 
 ROOT = Path(__file__).parents[1]
 SCENARIOS = {"blocktower": 3, "balls": 4, "collision": 2}  # with the number of objects of its default split
 
-config.register()
+register()
 torch.set_num_threads(1)
-
-
-def composed(name: str, *overrides: str) -> Any:
-    """A configuration as the command line composes it."""
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return compose(name, list(overrides))
-
-
-def settings(name: str, *overrides: str) -> Any:
-    """The same, typed."""
-    return OmegaConf.to_object(composed(name, *overrides))
 
 
 @pytest.fixture(scope="session")
@@ -78,6 +68,8 @@ def tiny(request: pytest.FixtureRequest, tiny_data: Path) -> tuple[DatasetSpec, 
 
 @pytest.fixture(scope="session")
 def tower_batch(tiny_data: Path) -> Batch:
-    """All experiments of the tiny blocktower dataset."""
+    """All experiments of the tiny blocktower dataset, with true confounders, not standardised."""
     spec = tiny_spec("blocktower")
-    return to_batch(States(spec, tiny_data).load(), spec.scenario)
+    arrays = States(spec, tiny_data).load()
+    batch = to_batch(arrays, spec.scenario)
+    return replace(batch, inputs=replace(batch.inputs, confounders=confounder_features(arrays)))

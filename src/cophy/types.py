@@ -1,82 +1,154 @@
-"""What passes between data and models. Axes: B batch, T frames (5 Hz), K colour slots, F features; metres, z up."""
+"""What passes between data, models and losses.
+
+Axes: batch; time (frames at 5 Hz, T of them); steps (frames 1 … T-1, those of D); slots (K colours, see
+`Scenario.colors`). Metres, seconds; z up. An empty slot is zero in every tensor and False in every mask.
+"""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-# Per-object features of `Batch.confounders`: all that positions hide and AB and CD share. Besides the confounders of
-# the paper these are the initial velocity (invisible in A and C), and shape and orientation at t = 0 (visible in
-# images, but not in positions): whether it is a cylinder, and the direction of a cylinder's axis or a block's side.
+# Features per object of `Inputs.confounders`: all that positions hide and that AB and CD share. Beside the confounders
+# of the paper these are the initial velocity (A and C do not show it), whether the object is a cylinder, and the
+# direction of a cylinder's axis or of a block's side (pictures show both, positions do not).
 CONFOUNDERS = (
     *("mass", "friction", "restitution", "gravity_x", "gravity_y"),
     *("velocity_x", "velocity_y", "velocity_z"),
     *("cylinder", "axis_x", "axis_y", "axis_z"),
 )
 
-# indices of the x and y components of its vectors
+# indices of the x and y components of the vectors among them
 HORIZONTAL = [[CONFOUNDERS.index(f"{vector}_{axis}") for axis in "xy"] for vector in ("gravity", "velocity", "axis")]
 
 
-class Batch(NamedTuple):
-    """Experiments as models see them. Slots that hold no object are zero, and False in the masks.
+@dataclass
+class Inputs:
+    """What a model may see of a batch of experiments: AB and C, never D.
 
-    observed: (B, T, K, 3) positions of AB; observed_presence: (B, K) objects in AB.
-    initial: (B, K, 3) positions in C; presence: (B, K) objects in CD.
-    observed_stable: (B, T-1, K) whether an object of AB stays below the stable speed from the frame before until this one.
-    confounders: (B, K, 12) true confounders (see CONFOUNDERS), standardised over the training set; constant ones are zero.
-    confounder_class: (B, K, 2) index of the mass, and of the friction, among the values the scenario's grid has.
-    target: (B, T-1, K, 3) positions of D, frames 1 ... T-1. It, `target_initial`, `target_presence` and `stable` are the
-        truth about D: losses and metrics see them, a model gets NaN and False.
-    target_initial: (B, K, 3) true positions in C. target_presence: (B, K) objects truly in CD. `observed`, `initial` and
-        their presence are what a de-renderer found, where predictors see its estimates.
-    stable: (B, T-1, K) the same as observed_stable for D.
-    oracle_position, oracle_stable: (B, T-1, K, 3) and (B, T-1, K), what an oracle says of D; None for all other models.
+    Where positions are estimated, these are what the de-renderer found.
+
+    Attributes:
+        observed: Positions in AB, metres.
+        observed_presence: Which slots hold an object in AB.
+        observed_stable: Whether an object of AB stays below the stable speed from one frame to the next.
+        initial: Positions in C, metres.
+        presence: Which slots hold an object in C, and so in D.
+        confounders: The true confounders (`CONFOUNDERS`), standardised over the training set; None unless the
+            configuration of the model asks for them.
     """
 
-    observed: Tensor
-    observed_presence: Tensor
-    observed_stable: Tensor
-    initial: Tensor
-    presence: Tensor
-    confounders: Tensor
-    confounder_class: Tensor
-    target: Tensor
-    target_initial: Tensor
-    target_presence: Tensor
-    stable: Tensor
-    oracle_position: Tensor | None = None
-    oracle_stable: Tensor | None = None
+    observed: Float[Tensor, "batch time slots 3"]
+    observed_presence: Bool[Tensor, "batch slots"]
+    observed_stable: Bool[Tensor, "batch steps slots"]
+    initial: Float[Tensor, "batch slots 3"]
+    presence: Bool[Tensor, "batch slots"]
+    confounders: Float[Tensor, "batch slots features"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.initial)
+
+    @property
+    def num_steps(self) -> int:
+        """T-1, the frames of D that are to be predicted."""
+        return self.observed.shape[1] - 1
 
 
-class Prediction(NamedTuple):
+def true_confounders(inputs: Inputs) -> Float[Tensor, "batch slots features"]:
+    """The true confounders, for a model whose configuration asks for them.
+
+    Raises:
+        ValueError: They are not among the inputs.
+    """
+    if inputs.confounders is None:
+        raise ValueError(
+            "the true confounders are not among the inputs: a model needs confounders: ground_truth for them"
+        )
+    return inputs.confounders
+
+
+@dataclass
+class Targets:
+    """The truth, for losses and metrics alone.
+
+    Attributes:
+        position: Positions in D, frames 1 … T-1, metres.
+        stable: Whether an object of CD stays below the stable speed from the frame before until this one.
+        presence: Which slots truly hold an object in CD.
+        initial: True positions in C, metres.
+        observed_presence: Which slots truly hold an object in AB.
+        confounder_class: Index of the mass, and of the friction, among the values of the scenario's grid.
+    """
+
+    position: Float[Tensor, "batch steps slots 3"]
+    stable: Bool[Tensor, "batch steps slots"]
+    presence: Bool[Tensor, "batch slots"]
+    initial: Float[Tensor, "batch slots 3"]
+    observed_presence: Bool[Tensor, "batch slots"]
+    confounder_class: Int[Tensor, "batch slots 2"]
+
+    def __len__(self) -> int:
+        return len(self.initial)
+
+
+@dataclass
+class Batch:
+    """Experiments: what models see of them, and the truth about them."""
+
+    inputs: Inputs
+    targets: Targets
+
+    def __len__(self) -> int:
+        return len(self.inputs)
+
+
+@dataclass
+class Prediction:
     """What a model says about D.
 
-    position: (B, T-1, K, 3) metres; values in absent slots mean nothing.
-    stable_logit: (B, T-1, K), or (B, 1, K) where it is decided once for the sequence; positive means stable.
-    confounder_estimate: (B, K, H), the latent U.
+    Attributes:
+        position: Positions in frames 1 … T-1, metres; values in empty slots mean nothing.
+        stable_logit: Positive where the object is said to be stable; a single step where that is decided once for the
+            whole sequence. None if the model does not say.
+        confounder_estimate: The latent estimate U. None if the model makes none.
     """
 
-    position: Tensor
-    stable_logit: Tensor | None = None
-    confounder_estimate: Tensor | None = None
+    position: Float[Tensor, "batch steps slots 3"]
+    stable_logit: Float[Tensor, "batch steps_or_one slots"] | None = None
+    confounder_estimate: Float[Tensor, "batch slots hidden"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
 
 
-def without_truth(batch: Batch) -> Batch:
-    """The batch as a model sees it: of D it knows nothing."""
-    return batch._replace(
-        target=torch.full_like(batch.target, torch.nan),
-        target_initial=torch.full_like(batch.target_initial, torch.nan),
-        target_presence=torch.zeros_like(batch.target_presence),
-        stable=torch.zeros_like(batch.stable),
-    )
+Tensors = TypeVar("Tensors", Inputs, Targets, Batch, Prediction)
 
 
-TensorTuple = TypeVar("TensorTuple", Batch, Prediction)
+def map_tensors(function: Callable[..., Tensor], *batches: Tensors) -> Tensors:
+    """Apply a function to the tensors that several batches have under the same name.
+
+    Args:
+        function: From one tensor of each batch to a tensor.
+        *batches: Dataclasses of tensors, all of one class; None stays None.
+
+    Returns:
+        A dataclass of that class.
+    """
+
+    def apply(*values: Any) -> Any:
+        if values[0] is None:
+            return None
+        return function(*values) if isinstance(values[0], Tensor) else map_tensors(function, *values)
+
+    first = batches[0]
+    mapped = {each.name: apply(*(getattr(batch, each.name) for batch in batches)) for each in fields(first)}
+    return type(first)(**mapped)
 
 
-def map_fields(function: Callable[..., Tensor], *tuples: TensorTuple) -> TensorTuple:
-    """The named tuple whose fields are `function` of the fields of the given ones; None stays None."""
-    fields: Any = (None if values[0] is None else function(*values) for values in zip(*tuples, strict=True))
-    return type(tuples[0])(*fields)
+def rows(batch: Tensors, index: slice | list[int] | Tensor) -> Tensors:
+    """Some experiments of a batch."""
+    chosen = torch.as_tensor(index) if isinstance(index, list) else index
+    return map_tensors(lambda tensor: tensor[chosen], batch)

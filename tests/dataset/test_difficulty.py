@@ -7,8 +7,9 @@ import pytest
 
 from cophy.dataset.difficulty import difficulty, true_margins, twin_differences
 from cophy.dataset.replay import trajectories_of
-from cophy.dataset.states import layout
-from cophy.scenario.scene import trajectory_distance
+from cophy.dataset.store.experiment_arrays import experiment_fields
+from cophy.dataset.store.hdf5_arrays import empty_arrays
+from cophy.scenario.physics.scene import trajectory_distance
 from tests.conftest import tiny_spec
 
 SLOTS = [2, 0, 3]  # of the blocks, from the ground up
@@ -17,7 +18,7 @@ SPEC = tiny_spec("blocktower")
 
 def straight_towers() -> dict[str, np.ndarray]:
     """Twins: A and C are one straight tower of three blocks of 1 kg, upright gravity, nothing moves."""
-    arrays = {name: np.zeros((2, *shape), dtype) for name, (shape, dtype) in layout(SPEC).items()}
+    arrays = empty_arrays(experiment_fields(SPEC, 2))
     arrays["object_index"][:] = -1
     arrays["gravity"][..., 2] = -10
     arrays["states"][..., SLOTS, 6] = 1
@@ -67,7 +68,7 @@ def test_differences_are_time_averages_of_the_object_that_differs_most() -> None
 def test_displacements_and_names_are_those_stored() -> None:
     arrays = straight_towers()
     arrays["do_offset"][1, :2] = [0.3, -0.4]
-    arrays["do_operation"][1], arrays["stratum"][1] = 1, 3
+    arrays["do_operation"][1], arrays["cell"][1] = 1, 3
     found = difficulty(arrays, SPEC)
     np.testing.assert_allclose(found["displacement"], [0, 0.5])
     assert found["do_operation"].tolist() == ["displace_x", "displace_y"]

@@ -5,14 +5,14 @@ from cophy.dataset.splits import SPLITS, Part, split_of_experiments
 
 
 def test_splits_are_seven_two_one_and_keep_twins_together() -> None:
-    split = split_of_experiments(2000, seed=0)
+    split = split_of_experiments(2000, data_seed=0)
     np.testing.assert_array_equal(split[::2], split[1::2])
     assert np.bincount(split).tolist() == [1400, 400, 200]
     assert SPLITS == ("train", "val", "test")
 
 
 def test_another_seed_splits_otherwise() -> None:
-    assert (split_of_experiments(2000, seed=0) != split_of_experiments(2000, seed=1)).any()
+    assert (split_of_experiments(2000, data_seed=0) != split_of_experiments(2000, data_seed=1)).any()
 
 
 def test_the_moving_object_selects_its_experiments(tiny) -> None:
@@ -21,7 +21,7 @@ def test_the_moving_object_selects_its_experiments(tiny) -> None:
         pytest.skip("collision only")
     sphere, cylinder = (Part(2, moving=shape).select(arrays) for shape in ("sphere", "cylinder"))
     np.testing.assert_array_equal(sphere, ~cylinder)
-    names = np.array(spec.scenario.strata())[arrays["stratum"]]
+    names = np.array(spec.scenario.cells())[arrays["cell"]]
     np.testing.assert_array_equal(sphere, np.char.startswith(names, "sphere"))
 
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from cophy.app.composition import composed, to_plain
 from cophy.models.derenderer import Derenderer
-from cophy.training.run import build_network
-from tests.conftest import composed
+from cophy.training.trained.network import build_network
 
 
 def network(readout: str = "attention", num_slots: int = 4, width: int = 4) -> Derenderer:
@@ -19,7 +19,7 @@ either_readout = pytest.mark.parametrize("readout", ["attention", "linear"])
 
 def test_the_channels_of_the_paper() -> None:
     config = composed("train", "model=derenderer_paper", "scenario=balls")
-    paper = build_network(OmegaConf.to_container(config.model, resolve=True))
+    paper = build_network(to_plain(config.model))
     convolutions = [module for module in paper.modules() if isinstance(module, torch.nn.Conv2d)]
     assert [c.out_channels for c in convolutions] == [64, 64, 128, 128, 261, 261, 9, 9]  # 256 rounded up to nine shares
     assert paper.heads.weight.shape == (9, 56 * 56, 4)

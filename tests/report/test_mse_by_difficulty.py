@@ -9,16 +9,17 @@ import pandas as pd
 import pytest
 import torch
 
-from cophy.dataset.counterfactual import to_batch
+from cophy.dataset.feed.batches import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, Part
-from cophy.dataset.states import States
-from cophy.report.difficulty import ALL, WORDS, breakdown, draw, groups, page
-from cophy.training.evaluation import evaluate
-from cophy.training.row import Row
+from cophy.dataset.store.states import States
+from cophy.report.difficulty_page import draw, page
+from cophy.report.mse_by_difficulty import ALL, WORDS, groups, mse_by_difficulty
+from cophy.training.runs.evaluation import evaluate
+from cophy.training.runs.results import write_predictions
 from cophy.types import Prediction
 from tests.conftest import tiny_spec
-from tests.report.test_tables import run
+from tests.report.lines import run
 
 SPEC = tiny_spec("blocktower")
 
@@ -32,20 +33,19 @@ def arrays(tiny_data: Path) -> dict[str, np.ndarray]:
 
 def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, **changes: Any) -> dict[str, Any]:
     """A run whose predictions are off at random, and the line that `read_runs` makes of it."""
-    batch = to_batch(arrays, SPEC.scenario)
-    noise = torch.randn(batch.target.shape, generator=torch.Generator().manual_seed(seed))
-    prediction = Prediction(batch.target + noise)
+    targets = to_batch(arrays, SPEC.scenario).targets
+    noise = torch.randn(targets.position.shape, generator=torch.Generator().manual_seed(seed))
+    prediction = Prediction(targets.position + noise)
     directory = directory / f"seed{seed}"
     directory.mkdir()
-    row = Row("blocktower", "3to3", "cophynet", "full", "ground_truth", seed, "tiny", directory)
-    row.write_predictions(prediction, batch)
-    mse = evaluate(prediction, batch, SPEC.scenario)["mse"].mean()
+    write_predictions(directory, prediction, targets)
+    mse = evaluate(prediction, targets, SPEC.scenario)["mse"].mean()
     line = run("cophynet", seed=seed, size="tiny", directory=directory, dataset_ids=[SPEC.id], mse=mse)
     return line | changes
 
 
 def broken_down(lines: list[dict[str, Any]], arrays: dict[str, np.ndarray], spec: DatasetSpec = SPEC) -> pd.DataFrame:
-    return breakdown(pd.DataFrame(lines), arrays, spec, Part(3))
+    return mse_by_difficulty(pd.DataFrame(lines), arrays, spec, Part(3))
 
 
 def test_groups_add_up_to_the_mse_of_the_run(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_page_and_figures_say_what_they_show(arrays: dict[str, np.ndarray], tmp_
     assert "## blocktower, 3to3, tiny" in text
     first = found.iloc[0]
     assert f"{first['mse']:.3f} [{first['low']:.3f}, {first['high']:.3f}]" in text
-    ((name, figure),) = draw(found)
+    ((name, figure),) = draw(found, {"blocktower": SPEC.scenario})
     assert name == "difficulty-blocktower-3to3-tiny"
     titles = [axis.get_title() for axis in figure.axes if axis.axison]
     assert titles == ["cell: outcome of AB, of CD", *list(WORDS.values())[2:]]

@@ -7,10 +7,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from cophy.dataset.counterfactual import confounder_statistics, standardise
+from cophy.dataset.feed.confounder_features import confounder_statistics, standardised
 from cophy.dataset.splits import Part
 from cophy.scenario import Scenario, Simulator
-from cophy.scenario.scene import Body, Scene, trajectory_distance
+from cophy.scenario.physics.scene import Body, Scene, trajectory_distance
 from cophy.training.augmentation import augment, symmetries_for, transform
 from cophy.types import HORIZONTAL, Batch
 from tests.conftest import SCENARIOS
@@ -40,7 +40,7 @@ def test_a_turned_scene_moves_as_the_turned_prediction_says(
     scenario: Scenario = scenario_of(name)
     distances = []
     for index in range(4):
-        experiment, _ = scenario.twin_pair(num_objects, seed=3, pair=index, simulator=simulator)
+        experiment, _ = scenario.twin_pair(num_objects, data_seed=3, pair=index, simulator=simulator)
         start = slice(0, 30)  # the first one and a half seconds
         for matrix in scenario.symmetries():
             again = scenario.simulate(simulator, turned(experiment.scene, matrix))
@@ -70,29 +70,42 @@ def test_symmetries_are_a_group_of_isometries(name: str, scenario_of) -> None:
         assert {tuple((a @ b).ravel()) for b in matrices} == as_set
 
 
+def quarter_turns(batch: Batch) -> torch.Tensor:
+    return torch.tensor([[0.0, -1.0], [1.0, 0.0]]).expand(len(batch), 2, 2)
+
+
 def test_a_quarter_turn_turns_everything(tower_batch: Batch) -> None:
-    quarter = torch.tensor([[0.0, -1.0], [1.0, 0.0]]).expand(len(tower_batch.initial), 2, 2)
-    batch = transform(tower_batch, quarter)
-    for name in ("observed", "initial", "target"):
-        before, after = getattr(tower_batch, name), getattr(batch, name)
-        torch.testing.assert_close(after, torch.stack([-before[..., 1], before[..., 0], before[..., 2]], dim=-1))
+    batch = transform(tower_batch, quarter_turns(tower_batch))
+    before, after = tower_batch.inputs, batch.inputs
+    pairs = [(before.observed, after.observed), (before.initial, after.initial)]
+    pairs += [
+        (tower_batch.targets.position, batch.targets.position),
+        (tower_batch.targets.initial, batch.targets.initial),
+    ]
+    for one, other in pairs:
+        torch.testing.assert_close(other, torch.stack([-one[..., 1], one[..., 0], one[..., 2]], dim=-1))
     for x, y in HORIZONTAL:
-        torch.testing.assert_close(batch.confounders[..., x], -tower_batch.confounders[..., y])
-        torch.testing.assert_close(batch.confounders[..., y], tower_batch.confounders[..., x])
-    assert batch.stable is tower_batch.stable
+        torch.testing.assert_close(after.confounders[..., x], -before.confounders[..., y])
+        torch.testing.assert_close(after.confounders[..., y], before.confounders[..., x])
+    assert batch.targets.stable is tower_batch.targets.stable
 
 
 def test_turning_and_scaling_confounders_commute(tower_batch: Batch) -> None:
     """Standardised gravity, turned, is turned gravity, standardised."""
-    statistics = confounder_statistics(tower_batch)
-    quarter = torch.tensor([[0.0, -1.0], [1.0, 0.0]]).expand(len(tower_batch.initial), 2, 2)
-    one = transform(standardise(tower_batch, statistics), quarter).confounders
-    other = standardise(transform(tower_batch, quarter), statistics).confounders
-    torch.testing.assert_close(one, other)
+    inputs = tower_batch.inputs
+    statistics = confounder_statistics(inputs.confounders, inputs.observed_presence)
+
+    def scaled(batch: Batch) -> Batch:
+        values = standardised(batch.inputs.confounders, inputs.observed_presence, statistics)
+        return replace(batch, inputs=replace(batch.inputs, confounders=values))
+
+    quarter = quarter_turns(tower_batch)
+    one, other = transform(scaled(tower_batch), quarter), scaled(transform(tower_batch, quarter))
+    torch.testing.assert_close(one.inputs.confounders, other.inputs.confounders)
 
 
 def test_every_symmetry_is_drawn(tower_batch: Batch, scenario_of) -> None:
     torch.manual_seed(0)
     symmetries = torch.from_numpy(scenario_of("blocktower").symmetries()).float()
-    seen = {tuple(augment(tower_batch, symmetries).initial[0, :, :2].flatten().tolist()) for _ in range(100)}
-    assert len(seen) == 8
+    drawn = (augment(tower_batch, symmetries).inputs.initial[0, :, :2] for _ in range(100))
+    assert len({tuple(xy.flatten().tolist()) for xy in drawn}) == 8

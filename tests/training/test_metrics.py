@@ -1,6 +1,6 @@
 """Metrics against values worked out by hand."""
 
-from operator import itemgetter
+from dataclasses import replace
 
 import pytest
 import torch
@@ -8,28 +8,21 @@ import torch
 from cophy.scenario import Camera, Task
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
 from cophy.training.metrics import collection, pixel_measures, position_measures, stability_measures
-from cophy.types import Batch, Prediction, map_fields
+from cophy.types import Prediction, Targets, rows
 
 INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])
 
 
-def batch() -> Batch:
+def targets() -> Targets:
     """Two experiments, T = 3 frames, K = 2 slots: two objects, and one object beside an empty slot."""
     presence = torch.tensor([[True, True], [False, True]])
-    target = torch.zeros(2, 2, 2, 3)
-    stable = torch.tensor([[[1, 0], [1, 1]], [[0, 1], [0, 0]]], dtype=torch.bool)
-    return Batch(
-        observed=torch.zeros(2, 3, 2, 3),
-        observed_presence=presence,
-        observed_stable=stable,
-        initial=INITIAL,
+    return Targets(
+        position=torch.zeros(2, 2, 2, 3),
+        stable=torch.tensor([[[1, 0], [1, 1]], [[0, 1], [0, 0]]], dtype=torch.bool),
         presence=presence,
-        confounders=torch.zeros(2, 2, 12),
+        initial=INITIAL,
+        observed_presence=presence,
         confounder_class=torch.tensor([[[0, 0], [1, 1]], [[9, 9], [1, 0]]]),
-        target=target,
-        target_initial=INITIAL,
-        target_presence=presence,
-        stable=stable,
     )
 
 
@@ -51,7 +44,7 @@ def stability_metrics():
 
 
 def computed(metrics) -> dict[str, float]:
-    metrics.update(prediction(), batch())
+    metrics.update(prediction(), targets())
     return {name: float(value) for name, value in metrics.compute().items()}
 
 
@@ -77,8 +70,8 @@ def test_stability_accuracy_and_its_base_rate() -> None:
 
 def test_whole_sequence_stability_asks_for_every_step() -> None:
     """First experiment: said to move / to stay, truly stays / moves: none right. Second: both say it moves."""
-    stays = prediction()._replace(stable_logit=torch.tensor([[[9.0, 9.0], [-9.0, 9.0]], [[9.0, 9.0], [9.0, -9.0]]]))
-    values = [metric.value_of(stays, batch()) for metric in stability_metrics().values()]
+    stays = replace(prediction(), stable_logit=torch.tensor([[[9.0, 9.0], [-9.0, 9.0]], [[9.0, 9.0], [9.0, -9.0]]]))
+    values = [metric.measure(stays, targets()) for metric in stability_metrics().values()]
     names = list(stability_metrics())
     assert values[names.index("sequence_stability_accuracy")].tolist() == [0.0, 1.0]
 
@@ -90,7 +83,7 @@ def test_pixel_error_of_each_object_by_its_height_in_c() -> None:
     position = torch.zeros(2, 2, 2, 3)
     position[0, -1, 0], position[0, -1, 1] = torch.tensor([1.0, 0, 0]), torch.tensor([0, 0, -2.0])
     position[1, -1, 1] = torch.tensor([0.0, 10.0, 3.0])  # twice as far away
-    values = {name: measure(Prediction(position), batch()) for name, measure in measures.items()}
+    values = {name: measure(Prediction(position), targets()) for name, measure in measures.items()}
     assert values["pixel_error"].tolist() == pytest.approx([(22.4 + 44.8) / 2, 33.6])
     assert values["pixel_error_1"].tolist() == pytest.approx([44.8, 33.6])
     assert values["pixel_error_2"].tolist() == pytest.approx([22.4, float("nan")], nan_ok=True)
@@ -101,35 +94,35 @@ def test_confounder_loss_is_over_the_objects_of_ab() -> None:
     friction = torch.zeros(2, 2, 2)  # undecided: log 2
     expected = 18 / 3 + torch.log(torch.tensor(2.0))
     torch.testing.assert_close(
-        confounder_loss([mass, friction], batch()._replace(confounder_class=batch().confounder_class.clamp(max=1))),
+        confounder_loss([mass, friction], replace(targets(), confounder_class=targets().confounder_class.clamp(max=1))),
         expected,
         atol=1e-4,
         rtol=0,
     )
 
 
-def test_every_experiment_counts_once_whatever_its_batch() -> None:
+def test_every_experiment_counts_once_whatever_its_targets() -> None:
     whole, split = position_metrics(3), position_metrics(3)
-    whole.update(prediction(), batch())
+    whole.update(prediction(), targets())
     for row in (slice(0, 1), slice(1, 2)):
-        split.update(Prediction(prediction().position[row]), map_fields(itemgetter(row), batch()))
+        split.update(Prediction(prediction().position[row]), rows(targets(), row))
     assert whole.compute() == split.compute()
 
 
 def test_a_perfect_prediction_has_no_error() -> None:
     metrics = position_metrics(3)
-    metrics.update(Prediction(batch().target), batch())
+    metrics.update(Prediction(targets().position), targets())
     assert all(value == 0 for value in metrics.compute().values())
 
 
 def test_losses_ignore_empty_slots() -> None:
-    assert position_loss(prediction(), batch()) == pytest.approx((9 / 3 + 25 / 3 + 36 / 3) / 6)
+    assert position_loss(prediction(), targets()) == pytest.approx((9 / 3 + 25 / 3 + 36 / 3) / 6)
     wrong = torch.tensor([3 * 9.0]) / 6  # three confident mistakes of six
-    torch.testing.assert_close(stability_loss(prediction().stable_logit, batch()), wrong[0], atol=1e-3, rtol=0)
-    empty = ~batch().target_presence[:, None, :, None]
-    nonsense = prediction()._replace(position=prediction().position.masked_fill(empty, torch.nan))
-    assert position_loss(nonsense, batch()) == position_loss(prediction(), batch())
+    torch.testing.assert_close(stability_loss(prediction().stable_logit, targets()), wrong[0], atol=1e-3, rtol=0)
+    empty = ~targets().presence[:, None, :, None]
+    nonsense = replace(prediction(), position=prediction().position.masked_fill(empty, torch.nan))
+    assert position_loss(nonsense, targets()) == position_loss(prediction(), targets())
 
 
 def test_a_logit_for_the_sequence_is_held_against_being_always_stable() -> None:
-    assert stability_target(torch.zeros(2, 1, 2), batch()).tolist() == [[[True, False]], [[False, False]]]
+    assert stability_target(torch.zeros(2, 1, 2), targets()).tolist() == [[[True, False]], [[False, False]]]

@@ -6,15 +6,14 @@ Everything follows from the stored states; nothing of it is stored.
 import numpy as np
 
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.towers import towers_of
-from cophy.scenario import Blocktower
-from cophy.scenario.stability import tower_margins
+from cophy.dataset.stored_towers import stored_towers
+from cophy.scenario.physics.statics import tower_margins
 
 
 def difficulty(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> dict[str, np.ndarray]:
     """Name -> (experiment,) values of a whole dataset (`States.load`).
 
-    cell, do_operation: names of the stratum and of the kind of do-operation.
+    cell, do_operation: names of the cell and of the kind of do-operation.
     displacement: how far the do-operation moves its object, metres; NaN where it removes one.
     observed_difference, counterfactual_difference: how far AB, or CD, is from the twin's, metres. A small observed one
         makes the confounders hard to tell; a small counterfactual one makes them matter little.
@@ -24,13 +23,13 @@ def difficulty(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> dict[str, np
     removed = arrays["presence"][:, 0].sum(axis=1) > arrays["presence"][:, 1].sum(axis=1)
     observed, counterfactual = np.repeat(twin_differences(arrays), 2, axis=0).T
     values = {
-        "cell": np.array(spec.scenario.strata())[arrays["stratum"]],
+        "cell": np.array(spec.scenario.cells())[arrays["cell"]],
         "do_operation": np.array(spec.scenario.do_operations)[arrays["do_operation"]],
         "displacement": np.where(removed, np.nan, np.linalg.norm(arrays["do_offset"], axis=1)),
         "observed_difference": observed,
         "counterfactual_difference": counterfactual,
     }
-    if isinstance(spec.scenario, Blocktower):
+    if spec.scenario.statics is not None:
         margins = np.abs(true_margins(arrays, spec))
         values |= {"observed_margin": margins[:, 0], "counterfactual_margin": margins[:, 1]}
     return values
@@ -48,7 +47,7 @@ def twin_differences(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 def true_margins(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> np.ndarray:
     """(experiment, 2) margin (see `tower_margins`) of A and of C under the true confounders, metres; positive: it stands."""
-    xy, yaw, num_levels, mass, tilt = towers_of(arrays, spec.num_objects)
+    xy, yaw, num_levels, mass, tilt = stored_towers(arrays, spec.num_objects)
     margins = np.empty(num_levels.shape)
     for sequence in (0, 1):
         for k in np.unique(num_levels[:, sequence]).tolist():

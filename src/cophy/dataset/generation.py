@@ -19,9 +19,11 @@ from pathlib import Path
 from filelock import FileLock
 from tqdm import tqdm
 
-from cophy.dataset.shardset import MANIFEST, DamagedShardError, ShardSet
+from cophy.atomic_files import appearing_whole
+from cophy.dataset.store.hdf5_arrays import DamagedShardError
+from cophy.dataset.store.manifest import MANIFEST
+from cophy.dataset.store.shardset import ShardSet
 from cophy.errors import CophyError
-from cophy.files import appearing_whole
 
 log = logging.getLogger(__name__)
 _done: "Synchronized[int]"  # experiments generated so far, shared by the workers of one run

@@ -4,12 +4,18 @@ import numpy as np
 
 from cophy.scenario import Scenario
 from cophy.scenario.do_operations import Displace, DoOperation, Remove
-from cophy.scenario.scene import Body, Scene, Shape, Trajectory
-from cophy.scenario.surroundings import floor
+from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
+from cophy.scenario.physics.surroundings import floor
 
 
 def scene_of(arrays: dict[str, np.ndarray], row: int, scenario: Scenario) -> Scene:
-    """A of an experiment under its confounders, from its first stored state (float32)."""
+    """A of an experiment under its confounders, from its first stored state (float32).
+
+    Args:
+        arrays: of a dataset.
+        row: of the experiment.
+        scenario: of the dataset.
+    """
     order = arrays["object_index"][row]
     slots = sorted(np.flatnonzero(order >= 0).tolist(), key=lambda slot: order[slot])
     return Scene(
@@ -18,12 +24,18 @@ def scene_of(arrays: dict[str, np.ndarray], row: int, scenario: Scenario) -> Sce
     )
 
 
-def do_operation_of(arrays: dict[str, np.ndarray], row: int) -> DoOperation:
-    """What makes C of A."""
-    slot = int(arrays["do_slot"][row])
+def do_operation_of(arrays: dict[str, np.ndarray], row: int, scenario: Scenario) -> DoOperation:
+    """What makes C of A, in generated data.
+
+    Args:
+        arrays: of a dataset.
+        row: of the experiment.
+        scenario: of the dataset.
+    """
+    kind, slot = scenario.do_operations[arrays["do_operation"][row]], int(arrays["do_slot"][row])
     if not arrays["presence"][row, 1, slot]:
-        return Remove(slot)
-    return Displace(slot, _vector(arrays["do_offset"][row]))
+        return Remove(kind, slot)
+    return Displace(kind, slot, _vector(arrays["do_offset"][row]))
 
 
 def trajectories_of(arrays: dict[str, np.ndarray], row: int) -> tuple[Trajectory, Trajectory]:

@@ -3,23 +3,24 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from cophy.dataset.external import Clips, ExternalStates, layout_named
-from cophy.dataset.images import Images
+from cophy.dataset.released.formats import FORMATS
+from cophy.dataset.released.released_states import ReleasedStates
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.splits import Split
-from cophy.dataset.states import States
+from cophy.dataset.store.experiment_set import ExperimentSet
+from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
-from cophy.scenario.rendering import RenderSettings
 
 GENERATED = "generated"
 
 
 @dataclass
 class Source:
-    """conf/source/*.yaml. root: folder of a released dataset. splits: folder of its lists of ids, None for in or below root.
+    """conf/source/*.yaml.
 
-    outputs: where runs on it go, apart from those on other data.
+    name: `generated`, or the name of a released format. outputs: where runs on the data go, apart from those on other data.
+    root: folder of a released dataset. splits: folder of its lists of ids; None where they lie in or below root.
     """
 
     name: str
@@ -29,24 +30,79 @@ class Source:
 
     @property
     def is_generated(self) -> bool:
-        """Whether it can be made here."""
+        """Whether the data can be made here."""
         return self.name == GENERATED
 
-    def states(
-        self, scenario: Scenario, num_objects: int, *, split: Split, size: Size, seed: int, data_dir: Path
-    ) -> States | ExternalStates:
-        """The experiments with so many objects; those of a released dataset have no size and no seed."""
+    def experiment_set(
+        self, scenario: Scenario, num_objects: int, *, split: Split, size: Size, data_seed: int, data_dir: Path
+    ) -> ExperimentSet:
+        """The experiments with one number of objects.
+
+        Args:
+            scenario: as which released data are read.
+            num_objects: in A of every experiment.
+            split: whose lists of ids are used, of released data.
+            size: of generated data; released ones have none.
+            data_seed: of generated data; released ones have none.
+            data_dir: where generated data, and indices of released ones, lie.
+
+        Raises:
+            CophyError: the released data or their lists are not where they should be.
+        """
         if self.is_generated:
-            return States(DatasetSpec(scenario, num_objects, size, seed), data_dir)
+            return States(DatasetSpec(scenario, num_objects, size, data_seed), data_dir)
         if self.root is None:
             raise CophyError(f"source={self.name} needs source.root=, the folder that holds ballsCF, blocktowerCF, …")
         lists = None if self.splits is None else Path(self.splits)
-        layout = layout_named(self.name)
-        return ExternalStates(
-            layout, Path(self.root), scenario, num_objects, split=split, lists=lists, data_dir=data_dir
+        return ReleasedStates(
+            FORMATS[self.name], Path(self.root), scenario, num_objects, split=split, lists=lists, data_dir=data_dir
         )
 
+    def experiment_sets(
+        self,
+        scenario: Scenario,
+        split: Split,
+        num_objects: list[int] | None,
+        *,
+        size: Size,
+        data_seed: int,
+        data_dir: Path,
+    ) -> list[ExperimentSet]:
+        """All datasets that the split, or `num_objects`, names.
 
-def pictures_of(states: States | ExternalStates, render: RenderSettings) -> Images | Clips:
-    """The frames of experiments: rendered, or as they were released whatever `render` says."""
-    return Images(states, render) if isinstance(states, States) else Clips(states)
+        Args:
+            scenario: of all of them.
+            split: whose numbers of objects are meant where `num_objects` is None.
+            num_objects: one dataset each.
+            size: see `experiment_set`.
+            data_seed: see `experiment_set`.
+            data_dir: see `experiment_set`.
+
+        Raises:
+            CophyError: the split was not made for the scenario, or released data are not there.
+        """
+        split.check_scenario(scenario)
+        return [
+            self.experiment_set(scenario, count, split=split, size=size, data_seed=data_seed, data_dir=data_dir)
+            for count in split.counts(num_objects)
+        ]
+
+
+def generated_sets(
+    scenario: Scenario, split: Split, num_objects: list[int] | None, *, size: Size, data_seed: int, data_dir: Path
+) -> list[States]:
+    """The generated datasets that the split, or `num_objects`, names.
+
+    Args:
+        scenario: of all of them.
+        split: whose numbers of objects are meant where `num_objects` is None.
+        num_objects: one dataset each.
+        size: how many experiments they have.
+        data_seed: what their randomness follows from.
+        data_dir: where they lie.
+
+    Raises:
+        CophyError: the split was not made for the scenario.
+    """
+    split.check_scenario(scenario)
+    return [States(DatasetSpec(scenario, count, size, data_seed), data_dir) for count in split.counts(num_objects)]

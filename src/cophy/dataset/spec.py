@@ -28,12 +28,12 @@ class Size:
 
 @dataclass(frozen=True)
 class DatasetSpec:
-    """One dataset: scenario, number of objects, size and seed."""
+    """One generated dataset. data_seed: all randomness of its experiments and of its splits follows from it."""
 
     scenario: Scenario
     num_objects: int
     size: Size
-    seed: int
+    data_seed: int
 
     def __post_init__(self) -> None:
         if str(self.num_objects) not in self.size.num_experiments.get(self.scenario.name, {}):
@@ -67,7 +67,7 @@ class DatasetSpec:
             "num_objects": self.num_objects,
             "num_experiments": self.num_experiments,
             "experiments_per_shard": self.size.experiments_per_shard,
-            "seed": self.seed,
+            "seed": self.data_seed,
         }
 
     @property
@@ -84,5 +84,5 @@ class DatasetSpec:
         """The command that makes, continues or repairs this dataset in its directory."""
         return (
             f"python src/generate.py scenario={self.scenario.name} size={self.size.name} "
-            f"'num_objects=[{self.num_objects}]' seed={self.seed} data_dir={directory.parents[1]}"
+            f"'num_objects=[{self.num_objects}]' data_seed={self.data_seed} data_dir={directory.parents[1]}"
         )

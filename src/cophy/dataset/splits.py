@@ -39,6 +39,10 @@ class Part:
             selected &= arrays["seen"] == (self.configurations == "seen")
         return selected
 
+    def select_split(self, arrays: dict[str, np.ndarray], split: str) -> np.ndarray:
+        """(experiment,) bool: those of this part that belong to train, val or test."""
+        return self.select(arrays) & (arrays["split"] == SPLITS.index(split))
+
 
 @dataclass
 class Split:
@@ -47,6 +51,10 @@ class Split:
     name: str
     train: Part
     test: Part
+
+    def counts(self, num_objects: list[int] | None = None) -> list[int]:
+        """The given numbers of objects, else those that are trained and tested on."""
+        return sorted(num_objects or {self.train.num_objects, self.test.num_objects})
 
     def check_scenario(self, scenario: Scenario) -> None:
         """Refuse a scenario this split was not made for."""
@@ -57,9 +65,9 @@ class Split:
             )
 
 
-def split_of_experiments(num_experiments: int, seed: int) -> np.ndarray:
+def split_of_experiments(num_experiments: int, data_seed: int) -> np.ndarray:
     """(experiment,) index into SPLITS; the twins 2p and 2p + 1 always share theirs."""
     num_pairs = num_experiments // 2
     ends = np.round(np.cumsum(FRACTIONS) * num_pairs)
-    rank = np.random.default_rng((seed, 0x5B117)).permutation(num_pairs)
+    rank = np.random.default_rng((data_seed, 0x5B117)).permutation(num_pairs)
     return np.repeat(np.searchsorted(ends, rank, side="right"), 2).astype(np.uint8)

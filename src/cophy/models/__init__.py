@@ -1,1 +1,12 @@
-"""Predictors: `Batch` in, `Prediction` out. They know no Lightning, no configuration and no files."""
+"""Networks: what a model may see (`Inputs`) in, what it says about D (`Prediction`) out.
+
+They know no Lightning, no configuration and no files.
+
+cophynet: CoPhyNet and its ablations (paper Sec. 4).
+confounder_estimator: from AB to the estimate U of the confounders (Sec. 4.1).
+decoders: from C and U to D, with the stability gate (Sec. 4.2).
+baselines: copy B, copy C, Interaction Network, Neural Physics Engine.
+derenderer: from an image to positions and presence (appendix).
+options: the values that switches in conf/model and conf/ablation can have.
+layers/: graph convolution (Eq. 1), packing of slots, MLPs.
+"""

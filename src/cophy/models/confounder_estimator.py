@@ -1,31 +1,38 @@
-"""Unsupervised estimation of the confounders (paper Sec. 4.1)."""
+"""Unsupervised estimation of the confounders from AB (paper Sec. 4.1)."""
 
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from cophy.models.interactions import Interactions
-from cophy.models.recurrence import layers_of
+from cophy.models.layers.graph import hear_mean_of_others
 
 
 class ConfounderEstimator(nn.Module):
-    """Observed AB -> interactions per frame -> GRU per object over time -> its last hidden state, u^k.
+    """Graph convolution per frame of AB, then a GRU per object over time (φ in the paper's appendix).
 
-    interactions: of nodes of width 3. All frames go through it at once; the recurrent network is shared by all objects.
+    The estimate u^k of object k is the GRU's hidden state after the last frame, of its top layer. All objects share
+    the GRU.
     """
 
-    def __init__(self, interactions: Interactions, *, hidden_dim: int, gru_layers: int) -> None:
+    def __init__(self, convolution: nn.Module, *, hidden_dim: int, gru_layers: int) -> None:
+        """Build the estimator.
+
+        Args:
+            convolution: From nodes (positions, width 3) and a graph to features of width `hidden_dim`.
+            hidden_dim: Width of the GRU, and of U.
+            gru_layers: Layers of the GRU.
+        """
         super().__init__()
-        self.interactions = interactions
+        self.convolution = convolution
         self.gru = nn.GRU(hidden_dim, hidden_dim, gru_layers)
 
-    def forward(self, observed: Tensor, presence: Tensor) -> Tensor:
-        """(B, T, K, 3), (B, K) -> U (B, K, hidden)."""
-        position = observed.permute(2, 1, 0, 3)
-        slots, time, batch, _ = position.shape
-        present = presence.t()[:, None].expand(slots, time, batch).flatten(1)
-        first, *others = layers_of(self.gru)
-        position = position.flatten(0, 2)
-        (inputs,) = self.interactions.together([(self.interactions, first.input)], present, position[:, :0])(position)
-        states = first.over_time(inputs.view(slots, time, batch, -1).transpose(0, 1).flatten(1, 2))
-        for layer in others:
-            states = layer.over_time(layer.input(states))
-        return states[-1].view(slots, batch, -1).transpose(0, 1)
+    def forward(
+        self, observed: Float[Tensor, "batch time slots 3"], presence: Bool[Tensor, "batch slots"]
+    ) -> Float[Tensor, "batch slots hidden"]:
+        """From positions in AB to U."""
+        batch, time, slots, _ = observed.shape
+        graph = hear_mean_of_others(presence.repeat_interleave(time, dim=0), observed.dtype)
+        features = self.convolution(observed.flatten(0, 1), graph)  # all frames at once
+        over_time = features.view(batch, time, slots, -1).transpose(0, 1).flatten(1, 2)  # time, every object, features
+        _, final = self.gru(over_time)
+        top_layer = final[-1]
+        return top_layer.view(batch, slots, -1)

@@ -1,29 +1,34 @@
 """CoPhyNet (paper Sec. 4): predict D from C and what AB tells about the confounders.
 
-observed AB --GCN per frame, GRU over time--> confounders U --+
-                                                              |
-initial C --> [o_t, u] --GCN--> stability s_t ----------------+--> o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t
-                  |                                           |
-                  +------GCN, GRU over time, linear--> Δ_t ---+
+observed AB --GCN per frame, GRU over time--> u
+                                              |
+initial C = o_0 ----------------------> [o_t, u] --GCN--> stability s_t --------------------+
+                                         ^    |                                             |
+                                         |    +--GCN, GRU over time, linear--> Δ_t --> o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t
+                                         |                                                  |
+                                         +------------------- next step --------------------+
 """
 
+from jaxtyping import Float
 from torch import Tensor, nn
 
-from cophy.models.concatenation import Concatenation
 from cophy.models.confounder_estimator import ConfounderEstimator
-from cophy.models.convolution import GraphConvolution
 from cophy.models.decoders import Rollout, SingleStep
-from cophy.models.interactions import Interactions
+from cophy.models.layers.graph_convolution import GraphConvolution
+from cophy.models.layers.packing import pack, unpack
+from cophy.models.layers.slot_mlp import SlotMLP
 from cophy.models.options import ConfounderSource, Decoding, Gating, Interaction
-from cophy.models.packing import pack, unpack
-from cophy.types import CONFOUNDERS, Batch, Prediction
+from cophy.types import CONFOUNDERS, Inputs, Prediction, true_confounders
 
 
 class CoPhyNet(nn.Module):
-    """The counterfactual predictor and its ablations; with graph interactions K-agnostic and permutation equivariant.
+    """The counterfactual predictor and its ablations.
 
-    confounders, gating, interaction, decoding: see `options`. num_frames: T, of a single-step decoder; slots: names of
-    the colour slots, of MLP interactions.
+    With graph convolutions, CoPhyNet takes any number of objects in any order. The ablation `mlp` is tied to the slots,
+    the ablation `single_step` to the number of frames.
+
+    Attributes:
+        estimate_dim: Width of U; 0 where none is estimated.
     """
 
     def __init__(
@@ -41,43 +46,59 @@ class CoPhyNet(nn.Module):
         num_frames: int | None = None,
         slots: list[str] | None = None,
     ) -> None:
+        """Build the estimator and the decoder.
+
+        Args:
+            hidden_dim: Width of f, g, both GRUs and U (paper, appendix).
+            gru_layers: Layers of both GRUs.
+            edge_layers: Linear layers of f, at least 2.
+            node_layers: Linear layers of g.
+            temperature: λ of the gate.
+            confounders: Where they come from: a value of `ConfounderSource`.
+            gating: When stability is decided: a value of `Gating`.
+            interaction: How objects hear of each other: a value of `Interaction`.
+            decoding: How D is predicted: a value of `Decoding`.
+            num_frames: T, needed where decoding is `single_step`.
+            slots: Names of the colour slots, needed where interaction is `mlp`.
+        """
         super().__init__()
         self.source, self.interaction = ConfounderSource(confounders), Interaction(interaction)
 
-        def interactions(input_dim: int) -> Interactions:
+        def make_convolution(input_dim: int) -> nn.Module:
             if self.interaction is Interaction.mlp:
                 assert slots is not None
-                return Concatenation(input_dim, hidden_dim, layers=edge_layers, num_slots=len(slots))
+                return SlotMLP(input_dim, hidden_dim, layers=edge_layers, num_slots=len(slots))
             return GraphConvolution(input_dim, hidden_dim, edge_layers=edge_layers, node_layers=node_layers)
 
         if self.source is ConfounderSource.estimated:
-            self.estimator = ConfounderEstimator(interactions(3), hidden_dim=hidden_dim, gru_layers=gru_layers)
+            self.estimator = ConfounderEstimator(make_convolution(3), hidden_dim=hidden_dim, gru_layers=gru_layers)
         self.estimate_dim = hidden_dim if self.source is ConfounderSource.estimated else 0
-        confounder_dim = {"estimated": hidden_dim, "ground_truth": len(CONFOUNDERS), "none": 0}[confounders]
-        sizes = {"input_dim": 3 + confounder_dim, "hidden_dim": hidden_dim}
+        given_dim = len(CONFOUNDERS) if self.source is ConfounderSource.ground_truth else 0
+        sizes = {"input_dim": 3 + self.estimate_dim + given_dim, "hidden_dim": hidden_dim}
         self.decoder: nn.Module
         if Decoding(decoding) is Decoding.single_step:
             assert num_frames is not None
-            self.decoder = SingleStep(interactions, temperature=temperature, horizon=num_frames - 1, **sizes)
+            self.decoder = SingleStep(make_convolution, temperature=temperature, num_steps=num_frames - 1, **sizes)
         else:
             self.decoder = Rollout(
-                interactions, gru_layers=gru_layers, temperature=temperature, gating=Gating(gating), **sizes
+                make_convolution, gru_layers=gru_layers, temperature=temperature, gating=Gating(gating), **sizes
             )
 
-    def forward(self, batch: Batch) -> Prediction:
+    def forward(self, inputs: Inputs) -> Prediction:
         """Predict D, one step per frame of AB after the first."""
-        if self.interaction is Interaction.mlp:
-            return self._predict(batch)
-        packed, slots = pack(batch)
-        return unpack(self._predict(packed), slots, batch.initial.shape[1])
+        if self.interaction is Interaction.mlp:  # has a weight per slot, so that slots must stay where they are
+            return self._predict(inputs)
+        packed, slots = pack(inputs)
+        return unpack(self._predict(packed), slots, inputs.presence.shape[1])
 
-    def _predict(self, batch: Batch) -> Prediction:
-        confounders = self.confounders(batch)
-        position, stable_logit = self.decoder(batch, confounders, batch.observed.shape[1] - 1)
-        return Prediction(position, stable_logit, confounders if self.source is ConfounderSource.estimated else None)
+    def _predict(self, inputs: Inputs) -> Prediction:
+        u = self._confounders(inputs)
+        position, stable_logit = self.decoder(inputs.initial, u, inputs.presence, inputs.num_steps)
+        return Prediction(position, stable_logit, u if self.source is ConfounderSource.estimated else None)
 
-    def confounders(self, batch: Batch) -> Tensor:
-        """(B, K, U): estimated from AB, given, or of width 0."""
+    def _confounders(self, inputs: Inputs) -> Float[Tensor, "batch slots u"]:
         if self.source is ConfounderSource.estimated:
-            return self.estimator(batch.observed, batch.observed_presence)
-        return batch.confounders if self.source is ConfounderSource.ground_truth else batch.confounders[..., :0]
+            return self.estimator(inputs.observed, inputs.observed_presence)
+        if self.source is ConfounderSource.ground_truth:
+            return true_confounders(inputs)
+        return inputs.initial[..., :0]  # nothing: width 0

@@ -1,34 +1,41 @@
 """From C and the confounders to D, gated by stability (paper Sec. 4.2).
 
-Nodes are [o, u] for the object itself too, as in the paper's own stability network (its equation for the displacement
-gives the neighbours u but not the object). Inside, all objects of a batch are one axis, K·B, slots first.
+Both networks here, of stability and of displacement, get [o, u] of every object. The paper writes so for the stability.
+For the displacement it gives u to the neighbours but not to the object itself; that seems an oversight, for then an
+object would not know its own mass.
+
+u is what stands for the confounders: the estimate U, the true ones, or nothing (width 0).
 """
 
 from collections.abc import Callable
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from cophy.models.affine import affine
-from cophy.models.interactions import Interactions
+from cophy.models.layers.graph import hear_mean_of_others
 from cophy.models.options import Gating
-from cophy.models.recurrence import layers
-from cophy.types import Batch
 
-Build = Callable[[int], Interactions]  # interactions of nodes of a given width
+MakeConvolution = Callable[[int], nn.Module]  # from the width of a node to a graph convolution, or what replaces it
 
 
-def gate(stable_logit: Tensor, temperature: float) -> Tensor:
-    """σ((1 - s)/λ): the share of its displacement that an object of stability s makes (paper Sec. 4.2)."""
+def gate(stable_logit: Float[Tensor, "*any"], temperature: float) -> Float[Tensor, "*any"]:
+    """σ((1 - s)/λ): the share of its displacement that an object makes (paper Sec. 4.2).
+
+    s is a logit, not a probability. An object counts as stable from s = 0 on; the paper's gate is half open at s = 1.
+    """
     return torch.sigmoid((1 - stable_logit) / temperature)
 
 
 class Rollout(nn.Module):
-    """Step by step, each fed by the one before: o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t."""
+    """Step by step, each fed by the one before: o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t.
+
+    The GRU over the steps (ψ in the paper's appendix) is made of cells, because every step needs the one before.
+    """
 
     def __init__(
         self,
-        interactions: Build,
+        make_convolution: MakeConvolution,
         *,
         input_dim: int,
         hidden_dim: int,
@@ -36,65 +43,94 @@ class Rollout(nn.Module):
         temperature: float,
         gating: Gating,
     ) -> None:
-        super().__init__()
-        self.temperature, self.hidden_dim, self.gating = temperature, hidden_dim, gating
-        self.stability = interactions(input_dim)
-        self.stable_logit = nn.Linear(hidden_dim, 1)
-        self.dynamics = interactions(input_dim)
-        self.gru = nn.ModuleList(nn.GRUCell(hidden_dim, hidden_dim) for _ in range(gru_layers))
-        self.displacement = nn.Linear(hidden_dim, 3)
+        """Build the networks of stability and of displacement.
 
-    def forward(self, batch: Batch, confounders: Tensor, horizon: int) -> tuple[Tensor, Tensor]:
-        """Positions (B, horizon, K, 3) and stability logits (B, horizon or 1, K)."""
-        presence, constant, position = _slots_first(batch, confounders)
-        first, *others = layers(self.gru)
-        stability, dynamics = (self.stability, affine(self.stable_logit)), (self.dynamics, first.input)
-        chosen = [stability, dynamics] if self.gating is Gating.per_step else [dynamics]
-        interact = self.dynamics.together(chosen, presence, constant)
-        hidden = [position.new_zeros(len(position), self.hidden_dim) for _ in self.gru]
-        positions, logits = [], []
-        if self.gating is Gating.static:
-            logits += self.stability.together([stability], presence, constant)(position)
-        for _ in range(horizon):
-            *logit, inputs = interact(position)
-            logits += logit
-            hidden[0] = first(inputs, hidden[0])
-            for number, layer in enumerate(others, start=1):
-                hidden[number] = layer(layer.input(hidden[number - 1]), hidden[number])
-            position = position + gate(logits[-1], self.temperature) * self.displacement(hidden[-1])
+        Args:
+            make_convolution: Builds the graph convolution of each.
+            input_dim: Width of a node [o, u].
+            hidden_dim: Width of all layers.
+            gru_layers: GRU cells on top of each other.
+            temperature: λ of the gate.
+            gating: Whether stability is decided at every step, or once from C.
+        """
+        super().__init__()
+        self.temperature, self.gating = temperature, gating
+        self.stability = make_convolution(input_dim)
+        self.to_stable_logit = nn.Linear(hidden_dim, 1)
+        self.dynamics = make_convolution(input_dim)
+        self.cells = nn.ModuleList(nn.GRUCell(hidden_dim, hidden_dim) for _ in range(gru_layers))
+        self.to_displacement = nn.Linear(hidden_dim, 3)
+
+    def forward(
+        self,
+        initial: Float[Tensor, "batch slots 3"],
+        u: Float[Tensor, "batch slots u"],
+        presence: Bool[Tensor, "batch slots"],
+        num_steps: int,
+    ) -> tuple[Float[Tensor, "batch steps slots 3"], Float[Tensor, "batch steps_or_one slots"]]:
+        """Roll D out from C.
+
+        Args:
+            initial: Positions in C, metres.
+            u: What stands for the confounders of every object.
+            presence: Which slots hold an object.
+            num_steps: Frames of D to predict.
+
+        Returns:
+            Positions, and stability logits.
+        """
+        graph = hear_mean_of_others(presence, initial.dtype)
+        position, positions, logits = initial, [], []
+        hidden: list[Tensor | None] = [None] * len(self.cells)  # None is zero
+        for step in range(num_steps):
+            nodes = torch.cat([position, u], dim=-1)
+            if step == 0 or self.gating is Gating.per_step:
+                logits.append(self.to_stable_logit(self.stability(nodes, graph)))
+            state = self.dynamics(nodes, graph).flatten(0, 1)
+            for layer, cell in enumerate(self.cells):
+                state = cell(state, hidden[layer])
+                hidden[layer] = state
+            displacement = self.to_displacement(state).view_as(position)
+            position = position + gate(logits[-1], self.temperature) * displacement
             positions.append(position)
-        return _batch_first(torch.stack(positions), presence), _batch_first(torch.stack(logits), presence).squeeze(-1)
+        return torch.stack(positions, dim=1), torch.stack(logits, dim=1).squeeze(-1)
 
 
 class SingleStep(nn.Module):
-    """All steps at once, without recurrence (paper Table 6 left): o_t = o_0 + σ((1 - s_t)/λ) Δ_t."""
+    """All steps at once, without recurrence (paper Table 6 left): o_t = o_0 + σ((1 - s_t)/λ) Δ_t.
+
+    Here Δ_t is the way from C, not from the step before.
+    """
 
     def __init__(
-        self, interactions: Build, *, input_dim: int, hidden_dim: int, temperature: float, horizon: int
+        self, make_convolution: MakeConvolution, *, input_dim: int, hidden_dim: int, temperature: float, num_steps: int
     ) -> None:
+        """Build the networks of stability and of displacement.
+
+        Args:
+            make_convolution: Builds the graph convolution of each.
+            input_dim: Width of a node [o, u].
+            hidden_dim: Width of all layers.
+            temperature: λ of the gate.
+            num_steps: Frames of D, the same for every batch.
+        """
         super().__init__()
         self.temperature = temperature
-        self.stability = interactions(input_dim)
-        self.stable_logit = nn.Linear(hidden_dim, horizon)
-        self.dynamics = interactions(input_dim)
-        self.displacement = nn.Linear(hidden_dim, 3 * horizon)
+        self.stability = make_convolution(input_dim)
+        self.to_stable_logits = nn.Linear(hidden_dim, num_steps)
+        self.dynamics = make_convolution(input_dim)
+        self.to_displacements = nn.Linear(hidden_dim, 3 * num_steps)
 
-    def forward(self, batch: Batch, confounders: Tensor, horizon: int) -> tuple[Tensor, Tensor]:
-        """Positions (B, horizon, K, 3) and stability logits (B, horizon, K); `horizon` is the one it was built for."""
-        presence, constant, position = _slots_first(batch, confounders)
-        parts = [(self.stability, affine(self.stable_logit)), (self.dynamics, affine(self.displacement))]
-        logits, displacement = self.dynamics.together(parts, presence, constant)(position)
-        moved = gate(logits, self.temperature)[..., None] * displacement.view(-1, horizon, 3)
-        positions = (position[:, None] + moved).transpose(0, 1)
-        return _batch_first(positions, presence), _batch_first(logits.t()[..., None], presence).squeeze(-1)
-
-
-def _slots_first(batch: Batch, confounders: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Presence (K, B), confounders (K·B, U) and positions in C (K·B, 3)."""
-    constant, position = (tensor.transpose(0, 1).flatten(0, 1) for tensor in (confounders, batch.initial))
-    return batch.presence.t(), constant, position
-
-
-def _batch_first(values: Tensor, presence: Tensor) -> Tensor:
-    """(T, K·B, F) -> (B, T, K, F)."""
-    return values.view(len(values), *presence.shape, -1).permute(2, 0, 1, 3)
+    def forward(
+        self,
+        initial: Float[Tensor, "batch slots 3"],
+        u: Float[Tensor, "batch slots u"],
+        presence: Bool[Tensor, "batch slots"],
+        num_steps: int,
+    ) -> tuple[Float[Tensor, "batch steps slots 3"], Float[Tensor, "batch steps slots"]]:
+        """Predict D; arguments and results as of `Rollout.forward`."""
+        graph, nodes = hear_mean_of_others(presence, initial.dtype), torch.cat([initial, u], dim=-1)
+        logits = self.to_stable_logits(self.stability(nodes, graph))  # batch slots steps
+        displacement = self.to_displacements(self.dynamics(nodes, graph)).unflatten(-1, (num_steps, 3))
+        position = initial[:, :, None] + gate(logits, self.temperature)[..., None] * displacement
+        return position.transpose(1, 2), logits.transpose(1, 2)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from cophy.models.mlp import mlp
+from cophy.models.layers.mlp import mlp
 from cophy.models.options import Readout
 
 LOOKS = 15  # features of an object's looks

@@ -6,20 +6,31 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from cophy.dataset.audit import Check, ProbeCheck
-from cophy.dataset.audit.shares import paths_per_value
+from cophy.dataset.audit import Check, ClassifierCheck
+from cophy.dataset.audit.balance import paths_per_value
 from cophy.dataset.spec import DatasetSpec
-from cophy.report.figures import BLUE, GREY, RED, draw_stability_distribution
+from cophy.report.colors import BLUE, GREY, RED
+from cophy.report.stability_distribution import draw_stability_distribution
 
 
 def write_page(checks: Sequence[Check], arrays: dict[str, np.ndarray], spec: DatasetSpec, directory: Path) -> Path:
-    """Markdown and figures of one dataset, in `directory`; returns the page."""
+    """Write audit.md and its figures.
+
+    Args:
+        checks: The lines of the audit.
+        arrays: The dataset.
+        spec: Its description.
+        directory: Where they go.
+
+    Returns:
+        The page.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     failing = sum(not check.passed for check in checks)
     lines = [f"| {'ok' if check.passed else '**FAILS**'} | {check.name} | {check.found} |" for check in checks]
-    pictures = {"Outcomes of CD for every value of the confounders": ("outcomes.png", outcomes(arrays, spec))}
-    if probes := [check for check in checks if isinstance(check, ProbeCheck)]:
-        pictures["What can be known of CD without the motion of AB"] = ("bias.png", draw_probes(probes))
+    pictures = {"Outcomes of CD for every value of the confounders": ("outcomes.png", draw_outcomes(arrays, spec))}
+    if asked := [check for check in checks if isinstance(check, ClassifierCheck)]:
+        pictures["What can be known of CD without the motion of AB"] = ("bias.png", draw_classifiers(asked))
     for name, figure in pictures.values():
         figure.savefig(directory / name, dpi=100)
     page = directory / "audit.md"
@@ -33,21 +44,22 @@ def write_page(checks: Sequence[Check], arrays: dict[str, np.ndarray], spec: Dat
     return page
 
 
-def draw_probes(probes: Sequence[ProbeCheck]) -> Figure:
+def draw_classifiers(checks: Sequence[ClassifierCheck]) -> Figure:
     """Share of guesses that are right, with its interval: above what chance gives (grey), below nothing to be learned."""
-    figure = Figure(figsize=(9, 0.9 + 0.38 * len(probes)), layout="constrained")
+    figure = Figure(figsize=(9, 0.9 + 0.38 * len(checks)), layout="constrained")
     axis = figure.subplots()
-    at = -np.arange(len(probes), dtype=float)
-    accuracy, chance = (100 * np.array([getattr(probe, name) for probe in probes]) for name in ("accuracy", "chance"))
-    low, high = (100 * np.array([getattr(probe, name) for probe in probes]) for name in ("low", "high"))
+    at = -np.arange(len(checks), dtype=float)
+    accuracy, chance, low, high = (
+        100 * np.array([getattr(check, name) for check in checks]) for name in ("accuracy", "chance", "low", "high")
+    )
     axis.barh(at, chance, height=0.74, color=GREY, label="by chance")
-    colors = [BLUE if probe.passed else RED for probe in probes]
+    colors = [BLUE if check.passed else RED for check in checks]
     axis.barh(at, accuracy, height=0.4, color=colors, label="classifier, 95 % interval")
     axis.errorbar(accuracy, at, xerr=(accuracy - low, high - accuracy), fmt="none", ecolor="black", capsize=3, lw=1)
     axis.axvline(50, color="black", lw=0.8, ls="--")
     for place, share, end in zip(at, accuracy, np.maximum(high, chance), strict=True):
         axis.text(end + 1.5, place, f"{share:.1f} %", va="center", fontsize="small")
-    axis.set_yticks(at, [probe.name for probe in probes], fontsize="small")
+    axis.set_yticks(at, [check.name for check in checks], fontsize="small")
     axis.set_xlim(0, 108)
     axis.set_xticks(range(0, 101, 10))
     axis.set_xlabel("right guesses, %")
@@ -56,11 +68,10 @@ def draw_probes(probes: Sequence[ProbeCheck]) -> Figure:
     return figure
 
 
-def outcomes(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> Figure:
+def draw_outcomes(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> Figure:
     """Outcomes of CD for every value of every confounder: towers that stand (paper Fig. 3), or lengths of paths."""
-    if spec.scenario.name == "blocktower":
-        standing = np.array([stratum.endswith("stands") for stratum in spec.scenario.strata()])
-        return draw_stability_distribution({spec.num_objects: arrays}, {spec.num_objects: standing[arrays["stratum"]]})
+    if spec.scenario.statics is not None:
+        return draw_stability_distribution({spec.num_objects: arrays})
     paths = {name: values for name, values in paths_per_value(arrays, spec).items() if len(values) > 1}
     figure = Figure(figsize=(3.6 * len(paths), 3.4), layout="constrained")
     for axis, (name, values) in zip(

@@ -1,14 +1,14 @@
-"""BallsCF (paper Sec. 3): balls launched on a plane inside four walls, bouncing off each other."""
+"""BallsCF (paper Sec. 3): balls that roll on a plane inside four walls, bouncing off each other."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from cophy.scenario.do_operations import Displace, DoOperation, Remove
-from cophy.scenario.energy import largest_gain
-from cophy.scenario.scene import Body, Scene, Shape, Trajectory
-from cophy.scenario.search import SimulatedSearch
-from cophy.scenario.surroundings import floor, walls
+from cophy.scenario.physics.energy import largest_gain
+from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
+from cophy.scenario.physics.surroundings import floor, walls
+from cophy.scenario.search.simulated import SimulatedSearch
 from cophy.scenario.symmetry import square
 
 
@@ -29,12 +29,8 @@ class Balls(SimulatedSearch):
         return ("displace", "remove")
 
     @classmethod
-    def strata(cls) -> tuple[str, ...]:
+    def cells(cls) -> tuple[str, ...]:
         return ("balls",)
-
-    @classmethod
-    def num_cells(cls) -> int:
-        return 1
 
     @classmethod
     def symmetries(cls) -> np.ndarray:
@@ -52,7 +48,7 @@ class Balls(SimulatedSearch):
         centres = rng.uniform(-reach, reach, (len(slots), 2))
         while not self._apart(centres):
             centres = rng.uniform(-reach, reach, (len(slots), 2))
-        velocities = rng.uniform(self.speed[0], self.speed[1], len(slots))[:, None] * _directions(len(slots), rng)
+        velocities = self.random_velocities(len(slots), rng)
         balls = tuple(
             Body(
                 Shape.SPHERE,
@@ -67,14 +63,14 @@ class Balls(SimulatedSearch):
         bodies = (floor(), *self.walls(), *balls)
         return Scene(bodies, gravity=(0.0, 0.0, self.gravity_z))
 
-    def launch(self, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-        count = len(scene.objects)
+    def random_velocities(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """(ball, 2) horizontal initial velocities of so many balls, m/s."""
         return np.asarray(rng.uniform(self.speed[0], self.speed[1], count)[:, None] * _directions(count, rng))
 
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
         balls = scene.objects
         if kind == "remove":
-            return Remove(_slot(balls[rng.integers(len(balls))]))
+            return Remove(kind, _slot(balls[rng.integers(len(balls))]))
         centres = np.array([ball.position[:2] for ball in balls])
         reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2
         while True:
@@ -83,11 +79,11 @@ class Balls(SimulatedSearch):
             moved = centres.copy()
             moved[index] += (x, y)
             if self._apart(moved) and np.abs(moved).max() <= reach:
-                return Displace(_slot(balls[index]), (float(x), float(y), 0.0))
+                return Displace(kind, _slot(balls[index]), (float(x), float(y), 0.0))
 
-    def fit(self, scene: Scene, trajectory: Trajectory) -> bool:
+    def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
         """Whether the sequence stays in sight and gains no energy from an impact that the solver resolves wrongly."""
-        return super().fit(scene, trajectory) and largest_gain(scene, trajectory) <= self.max_energy_gain
+        return super().is_admissible(scene, trajectory) and largest_gain(scene, trajectory) <= self.max_energy_gain
 
     def _apart(self, centres: np.ndarray) -> bool:
         distance = np.linalg.norm(centres[:, None] - centres, axis=-1)

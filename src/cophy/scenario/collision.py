@@ -1,13 +1,13 @@
-"""CollisionCF (paper Sec. 3): one moving object, a sphere or a cylinder, is launched at one static object."""
+"""CollisionCF (paper Sec. 3): one moving object, a sphere or a cylinder, is sent towards one static object."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from cophy.scenario.do_operations import Displace, DoOperation
-from cophy.scenario.scene import Body, Scene, Shape
-from cophy.scenario.search import SimulatedSearch
-from cophy.scenario.surroundings import floor
+from cophy.scenario.physics.scene import Body, Scene, Shape
+from cophy.scenario.physics.surroundings import floor
+from cophy.scenario.search.simulated import SimulatedSearch
 from cophy.scenario.symmetry import mirror
 
 # (moving, static): shapes of the two objects, one cell each
@@ -35,12 +35,8 @@ class Collision(SimulatedSearch):
         return ("displace_moving", "displace_static")
 
     @classmethod
-    def strata(cls) -> tuple[str, ...]:
+    def cells(cls) -> tuple[str, ...]:
         return tuple(f"{moving.name}_{static.name}".lower() for moving, static in CELLS)
-
-    @classmethod
-    def num_cells(cls) -> int:
-        return len(CELLS)
 
     @classmethod
     def symmetries(cls) -> np.ndarray:
@@ -49,6 +45,9 @@ class Collision(SimulatedSearch):
     @property
     def object_size_m(self) -> float:
         return self.object_size
+
+    def shapes_of_cell(self, cell: int) -> tuple[Shape, ...]:
+        return CELLS[cell]
 
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
         moving, static = CELLS[cell]
@@ -67,20 +66,6 @@ class Collision(SimulatedSearch):
         )
         return Scene((floor(), *bodies), gravity=(0.0, 0.0, self.gravity_z))
 
-    def launch(self, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-        """A sphere is aimed anew; a cylinder shows by its axis where it is headed, up to the skew."""
-        moving, static = scene.objects
-        between = np.array(static.position[:2]) - moving.position[:2]
-        if moving.shape is Shape.CYLINDER:
-            across = 2 * np.arctan2(moving.quaternion_xyzw[2], moving.quaternion_xyzw[3])
-            angle = across - rng.uniform(-self.max_skew, self.max_skew)
-        else:
-            left = np.array([-between[1], between[0]]) / np.linalg.norm(between)
-            aim = between + rng.uniform(-self.max_aim_offset, self.max_aim_offset) * left
-            angle = np.arctan2(aim[1], aim[0])
-        direction = np.array([np.cos(angle), np.sin(angle)])
-        return np.stack([rng.uniform(self.speed[0], self.speed[1]) * direction, np.zeros(2)])
-
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
         moving, static = scene.objects
         body, other = (moving, static) if kind == "displace_moving" else (static, moving)
@@ -91,12 +76,12 @@ class Collision(SimulatedSearch):
             between = np.array(body.position[:2]) + offset - other.position[:2]
             # two cylinders lying end to end reach furthest: half a space diagonal each
             if np.linalg.norm(between) >= np.sqrt(2) * self.object_size + self.min_gap:
-                return Displace(body.slot, (float(offset[0]), float(offset[1]), 0.0))
+                return Displace(kind, body.slot, (float(offset[0]), float(offset[1]), 0.0))
 
     def _body(
         self, shape: Shape, slot: int, centre: np.ndarray, velocity: np.ndarray, *, yaw: float, lies: bool
     ) -> Body:
-        """An object at rest on the floor or launched; a cylinder stands, or lies with its axis across the yaw (rad)."""
+        """An object on the floor; a cylinder stands, or lies with its axis across the yaw (rad)."""
         tilt = np.pi / 4 if shape is Shape.CYLINDER and lies else 0.0  # half of the turn that lays the axis down
         return Body(
             shape,

@@ -1,14 +1,18 @@
-"""Do-operations (paper Sec. 3): visible changes of the initial scene A that make it C. Pure: A stays intact."""
+"""Do-operations (paper Sec. 3): visible changes of the initial scene A that make it C. A itself stays as it is."""
 
 from dataclasses import dataclass, replace
 
-from cophy.scenario.scene import Scene, Vector
+from cophy.scenario.physics.scene import Scene, Vector
 
 
 @dataclass(frozen=True)
 class Displace:
-    """Move one object by `offset_m` (metres, world frame)."""
+    """Move one object.
 
+    kind: the scenario's name for it, one of its `do_operations`. slot: of the object. offset_m: metres, world frame.
+    """
+
+    kind: str
     slot: int
     offset_m: Vector
 
@@ -21,8 +25,9 @@ class Displace:
 
 @dataclass(frozen=True)
 class Remove:
-    """Take one object away."""
+    """Take one object away. kind: the scenario's name for it, one of its `do_operations`. slot: of the object."""
 
+    kind: str
     slot: int
 
     def apply(self, scene: Scene) -> Scene:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from cophy.scenario.confounders import Confounders
 from cophy.scenario.do_operations import DoOperation
-from cophy.scenario.scene import Scene, Trajectory
+from cophy.scenario.physics.scene import Scene, Trajectory
 
 
 @dataclass(frozen=True)
@@ -12,23 +12,38 @@ class Experiment:
     """One experiment of a twin pair.
 
     scene: A, with its objects in the scenario's own order (towers: bottom to top).
-    do_operation_name: the scenario's name for the kind of do-operation.
-    configuration: index of the confounders in the scenario's grid, for that order.
-    stratum: index into the scenario's `strata`.
-    background_seed: looks of floor and surroundings, shared by A, B, C, D and the twin.
+    do_operation: what makes C of A.
+    observed, counterfactual: the simulated sequences AB and CD.
+    confounders, configuration: their values, and their index in the scenario's grid, for that order of objects.
+    cell: index into the scenario's `cells`.
+    background_seed: decides the textures of floor and surroundings, shared by A, B, C, D and the twin.
     pair_simulations: simulations spent on the whole twin pair.
     """
 
     scene: Scene
     do_operation: DoOperation
-    do_operation_name: str
     observed: Trajectory
     counterfactual: Trajectory
     confounders: Confounders
     configuration: int
-    stratum: int
+    cell: int
     background_seed: int
     pair_simulations: int
+
+
+@dataclass(frozen=True)
+class TwinPair:
+    """What a search found: a scene and a do-operation that twins share, and what becomes of them under either's confounders.
+
+    second: configuration of the second twin. observed, counterfactual, cells: of the first and of the second twin.
+    """
+
+    scene: Scene
+    do_operation: DoOperation
+    second: int
+    observed: tuple[Trajectory, Trajectory]
+    counterfactual: tuple[Trajectory, Trajectory]
+    cells: tuple[int, int]
 
 
 def with_confounders(scene: Scene, confounders: Confounders) -> Scene:

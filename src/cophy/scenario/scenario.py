@@ -1,19 +1,19 @@
 """What the three scenarios share: the fields of conf/scenario/*.yaml and the frame of a twin pair."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from cophy.errors import CophyError
-from cophy.scenario.assignment import Assignment, assign
-from cophy.scenario.camera import Camera
 from cophy.scenario.confounders import ConfounderGrid
-from cophy.scenario.do_operations import DoOperation
-from cophy.scenario.experiment import Experiment, with_confounders
-from cophy.scenario.physics import Clock, Simulator, Solver
-from cophy.scenario.scene import Body, Scene, Trajectory
+from cophy.scenario.experiment import Experiment, TwinPair, with_confounders
+from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
+from cophy.scenario.physics.simulation_settings import Clock, Solver
+from cophy.scenario.physics.simulator import Simulator
+from cophy.scenario.physics.statics import TowerStatics
+from cophy.scenario.rendering.camera import Camera
+from cophy.scenario.search.assignment import Assignment, assign
 
 
 @dataclass
@@ -68,13 +68,8 @@ class Scenario(ABC):
 
     @classmethod
     @abstractmethod
-    def strata(cls) -> tuple[str, ...]:
-        """Names of the strata that `Experiment.stratum` counts in."""
-
-    @classmethod
-    @abstractmethod
-    def num_cells(cls) -> int:
-        """How many cells the pairs of one block go through (see `assignment`)."""
+    def cells(cls) -> tuple[str, ...]:
+        """Names of the cells that `Experiment.cell` counts in. The pairs of one block go through all of them (see `assign`)."""
 
     @classmethod
     @abstractmethod
@@ -90,37 +85,59 @@ class Scenario(ABC):
         """Fixed bodies besides the floor, in simulation and in pictures."""
         return ()
 
+    @property
+    def statics(self) -> TowerStatics | None:
+        """What decides on paper whether towers stand; None where only simulation tells outcomes."""
+        return None
+
+    def shapes_of_cell(self, cell: int) -> tuple[Shape, ...] | None:
+        """The shapes of the objects in the scenario's own order, where a cell prescribes them."""
+        return None
+
+    @property
+    def shape_from_positions(self) -> Shape:
+        """What to draw where only positions are known, and neither shape nor rotation."""
+        return Shape.SPHERE
+
+    @property
+    def sight_extent_m(self) -> float | None:
+        """How far from the origin in x and y objects stay, metres; None where nothing keeps them in sight."""
+        return None
+
     @abstractmethod
     def search(
         self, assignment: Assignment, slots: tuple[int, ...], rng: np.random.Generator, simulator: Simulator
-    ) -> "TwinPair":
-        """Find a scene, a do-operation and a second configuration that fill the assignment, and simulate them."""
+    ) -> TwinPair:
+        """Find a scene, a do-operation and a second configuration that fill the assignment, and simulate them.
 
-    @abstractmethod
-    def redraw(
-        self, scene: Scene, do_operation: DoOperation, draws: int, rng: np.random.Generator, simulator: Simulator
-    ) -> list[Trajectory]:
-        """CD of `draws` experiments as the search could have made them of this A (at rest) and do-operation."""
+        Args:
+            assignment: what the twin pair shall be.
+            slots: of the objects, in the scenario's own order.
+            rng: all that is random comes from it.
+            simulator: sequences are simulated with it.
 
-    def prior(self, scene: Scene, do_operation: DoOperation) -> np.ndarray:
-        """(configuration,) probability of each in the data, given A, C and the do-operation. By default all are as likely."""
-        count = self.confounders.num_configurations(len(scene.objects))
-        return np.full(count, 1 / count)
-
-    def launcher(
-        self, scene: Scene, observed: np.ndarray, rng: np.random.Generator, simulator: Simulator
-    ) -> Callable[[Scene], Scene]:
-        """From A at rest (under any confounders) to A as it was launched, inferred from AB's (T, K, 3) frames. By default at rest."""
-        return lambda scene: scene
+        Raises:
+            CophyError: nothing fills the assignment; says which fields of the scenario to change.
+        """
 
     def twin_pair(
-        self, num_objects: int, *, seed: int, pair: int, simulator: Simulator
+        self, num_objects: int, *, data_seed: int, pair: int, simulator: Simulator
     ) -> tuple[Experiment, Experiment]:
-        """The twin experiments 2·pair and 2·pair + 1: a pure function of (self, num_objects, seed, pair)."""
+        """The twin experiments 2·pair and 2·pair + 1: a pure function of the scenario and the arguments.
+
+        Args:
+            num_objects: in A.
+            data_seed: of the dataset.
+            pair: index of the pair in the dataset.
+            simulator: sequences are simulated with it.
+
+        Raises:
+            CophyError: the scenario has no experiments with so many objects, or none is found.
+        """
         if num_objects not in self.num_objects:
             raise CophyError(f"{self.name} has {self.num_objects} objects, not {num_objects}: see num_objects=")
-        assignment = self.assignment(num_objects, seed=seed, pair=pair)
-        rng = np.random.default_rng((seed, num_objects, pair))  # no scene of K objects recurs among those of K + 1
+        assignment = self.assignment(num_objects, data_seed=data_seed, pair=pair)
+        rng = np.random.default_rng((data_seed, num_objects, pair))  # no scene of K objects recurs among those of K + 1
         slots = tuple(int(slot) for slot in rng.permutation(self.num_slots)[:num_objects])
         background_seed = int(rng.integers(2**31))
         before = simulator.num_simulations
@@ -130,29 +147,34 @@ class Scenario(ABC):
             Experiment(
                 scene=self.under(configuration, found.scene),
                 do_operation=found.do_operation,
-                do_operation_name=self.do_operations[assignment.do_operation],
                 observed=observed,
                 counterfactual=counterfactual,
                 confounders=self.confounders.decode(configuration, num_objects),
                 configuration=configuration,
-                stratum=stratum,
+                cell=cell,
                 background_seed=background_seed,
                 pair_simulations=spent,
             )
-            for configuration, observed, counterfactual, stratum in zip(
-                (assignment.first, found.second), found.observed, found.counterfactual, found.strata, strict=True
+            for configuration, observed, counterfactual, cell in zip(
+                (assignment.first, found.second), found.observed, found.counterfactual, found.cells, strict=True
             )
         )
         return first, second
 
-    def assignment(self, num_objects: int, *, seed: int, pair: int) -> Assignment:
-        """What is prescribed for a twin pair, before anything is searched for."""
+    def assignment(self, num_objects: int, *, data_seed: int, pair: int) -> Assignment:
+        """What is prescribed for a twin pair, before anything is searched for.
+
+        Args:
+            num_objects: in A.
+            data_seed: of the dataset.
+            pair: index of the pair in the dataset.
+        """
         return assign(
             pair,
-            seed=seed,
+            data_seed=data_seed,
             num_configurations=self.confounders.num_configurations(num_objects),
             num_do_operations=len(self.do_operations),
-            num_cells=self.num_cells(),
+            num_cells=len(self.cells()),
         )
 
     def simulate(self, simulator: Simulator, scene: Scene) -> Trajectory:
@@ -162,15 +184,3 @@ class Scenario(ABC):
     def under(self, configuration: int, scene: Scene) -> Scene:
         """The scene A under a configuration of confounders."""
         return with_confounders(scene, self.confounders.decode(configuration, len(scene.objects)))
-
-
-@dataclass(frozen=True)
-class TwinPair:
-    """What a search found: one scene and do-operation, and for both twins their sequences and strata."""
-
-    scene: Scene
-    do_operation: DoOperation
-    second: int
-    observed: tuple[Trajectory, Trajectory]
-    counterfactual: tuple[Trajectory, Trajectory]
-    strata: tuple[int, int]

@@ -1,8 +1,9 @@
 """What a training shows and says on its way."""
 
 import logging
-from operator import itemgetter
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import cv2
 import lightning as L
@@ -12,77 +13,80 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from torch import Tensor
 from torch.utils.data import default_collate
 
-from cophy.dataset.datamodule import CounterfactualDataModule
-from cophy.dataset.frames import FrameDataModule
-from cophy.training.clips import add_clip, mark
-from cophy.training.figures import draw_centres, draw_error_over_time, draw_trajectories, error_over_time
-from cophy.types import map_fields
+from cophy.dataset.feed.frame_dataset import FrameDataset
+from cophy.drawing.gifs import add_clip, mark
+from cophy.drawing.plots import draw_centres, draw_error_over_time, draw_trajectories, error_over_time
+from cophy.scenario import Scenario
+from cophy.training.trained.checkpoints import ORIGIN, Origin
+from cophy.types import Batch, map_tensors
 
 log = logging.getLogger(__name__)
 
 NUM_FRAMES_SHOWN = 8
-SMALLEST_CLIP_PX = 336
+MIN_CLIP_PX = 336
 NUM_SHOWN = 4  # experiments: two twin pairs, so that the same C is seen with two outcomes
 
 
 class PredictionFigures(L.Callback):
-    """TensorBoard figures of the first validation experiments, every few epochs and after the last."""
+    """TensorBoard figures of some experiments, every few epochs and after the last.
 
-    def __init__(self, every_n_epochs: int) -> None:
-        self.every_n_epochs = every_n_epochs
+    Args:
+        shown: Validation experiments.
+        scenario: Theirs.
+        every_n_epochs: How often.
+    """
+
+    def __init__(self, shown: Batch, scenario: Scenario, every_n_epochs: int) -> None:
+        self.shown, self.scenario, self.every_n_epochs = shown, scenario, every_n_epochs
 
     def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        if not _is_time(trainer, self.every_n_epochs):
+        logger, task, clock = trainer.logger, self.scenario.task, self.scenario.clock
+        if not _is_time(trainer, self.every_n_epochs) or not isinstance(logger, TensorBoardLogger):
             return
-        data, logger = trainer.datamodule, trainer.logger  # type: ignore[attr-defined]
-        if not isinstance(data, CounterfactualDataModule) or not isinstance(logger, TensorBoardLogger):
-            return
-        shown = map_fields(itemgetter(slice(NUM_SHOWN)), data.val.batch)
         with torch.no_grad():
-            prediction = pl_module(map_fields(lambda tensor: tensor.to(pl_module.device), shown))
+            prediction = pl_module(map_tensors(lambda tensor: tensor.to(pl_module.device), self.shown))
+        targets = self.shown.targets
         initial, predicted, true, presence = (
             tensor.cpu().numpy()
-            for tensor in (shown.target_initial, prediction.position, shown.target, shown.target_presence)
+            for tensor in (targets.initial, prediction.position, targets.position, targets.presence)
         )
-        scenario = data.scenario
-        error = error_over_time(predicted, true, presence, dims=scenario.task.metric_dims)
-        colors = list(scenario.colors.values())
+        error = error_over_time(predicted, true, presence, dims=task.metric_dims)
+        colors = list(self.scenario.colors.values())
         figures = {
             "val/trajectories": draw_trajectories(initial, predicted, true, presence, colors=colors),
-            "val/error_over_time": draw_error_over_time({"": error}, frame_rate_hz=scenario.clock.frame_rate_hz),
+            "val/error_over_time": draw_error_over_time({"": error}, frame_rate_hz=clock.frame_rate_hz),
         }
         for name, figure in figures.items():
             logger.experiment.add_figure(name, figure, trainer.global_step)
 
 
 class DerenderingFigures(L.Callback):
-    """TensorBoard pictures of validation frames with true and predicted centres, and a clip of one sequence with these."""
+    """TensorBoard pictures of frames with true and predicted centres, and a clip of one sequence with these.
 
-    def __init__(self, every_n_epochs: int) -> None:
-        self.every_n_epochs = every_n_epochs
+    Args:
+        frames: Validation frames.
+        scenario: Theirs.
+        every_n_epochs: How often, and after the last epoch.
+    """
+
+    def __init__(self, frames: FrameDataset, scenario: Scenario, every_n_epochs: int) -> None:
+        self.frames, self.scenario, self.every_n_epochs = frames, scenario, every_n_epochs
 
     def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        data, logger = trainer.datamodule, trainer.logger  # type: ignore[attr-defined]
+        logger, camera = trainer.logger, self.scenario.camera
         if not _is_time(trainer, self.every_n_epochs) or not isinstance(logger, TensorBoardLogger):
             return
-        assert isinstance(data, FrameDataModule)
-        chosen = np.linspace(0, len(data.val) - 1, min(NUM_FRAMES_SHOWN, len(data.val))).astype(int)
-        scattered = default_collate([data.val[item] for item in chosen.tolist()])
-        images, position, present = _derender(pl_module, scattered.image)
-        centres = draw_centres(
-            images,
-            position,
-            present,
-            scattered.position.numpy(),
-            scattered.presence.numpy(),
-            camera=data.scenario.camera,
-        )
+        count = len(self.frames)
+        chosen = np.linspace(0, count - 1, min(NUM_FRAMES_SHOWN, count)).astype(int)
+        shown = default_collate([self.frames[item] for item in chosen.tolist()])
+        truth = shown.position.numpy(), shown.presence.numpy()
+        centres = draw_centres(*_derender(pl_module, shown.image), *truth, camera=camera)
         logger.experiment.add_figure("val/centres", centres, trainer.global_step)
-        clip, position, present = _derender(pl_module, data.val.sequence_of(0).image)
-        larger = max(1, SMALLEST_CLIP_PX // clip.shape[1])
+        clip, position, present = _derender(pl_module, self.frames.sequence_of(0).image)
+        larger = max(1, MIN_CLIP_PX // clip.shape[1])
         clip = clip.repeat(larger, axis=1).repeat(larger, axis=2)
-        marked = mark(clip, position, present, camera=data.scenario.camera, marker=cv2.MARKER_TILTED_CROSS)
-        rate = data.scenario.clock.frame_rate_hz
+        marked = mark(clip, position, present, camera=camera, marker=cv2.MARKER_TILTED_CROSS)
+        rate = self.scenario.clock.frame_rate_hz
         add_clip(logger.experiment, "val/clip", marked, frames_per_second=rate, step=trainer.global_step)
 
 
@@ -96,6 +100,16 @@ def _derender(module: L.LightningModule, image: Tensor) -> tuple[np.ndarray, np.
 def _is_time(trainer: L.Trainer, every_n_epochs: int) -> bool:
     epoch = trainer.current_epoch + 1
     return not trainer.sanity_checking and (epoch % every_n_epochs == 0 or epoch == trainer.max_epochs)
+
+
+class SaveOrigin(L.Callback):
+    """Write into every checkpoint what it was trained as."""
+
+    def __init__(self, origin: Origin) -> None:
+        self.origin = origin
+
+    def on_save_checkpoint(self, trainer: L.Trainer, pl_module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
+        checkpoint[ORIGIN] = asdict(self.origin)
 
 
 class ResumeHint(L.Callback):

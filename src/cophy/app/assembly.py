@@ -1,0 +1,136 @@
+"""A run is assembled here: the configuration is taken apart into data, network, stage, plan and origin.
+
+Nothing deeper in the package sees the whole of it.
+"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+
+from cophy.app.datasets import experiments_of
+from cophy.app.model_schemas import OracleConfig
+from cophy.app.schemas import ESTIMATED, TrainConfig
+from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.dataset.feed.frame_datamodule import FrameDataModule
+from cophy.dataset.store.forecasts import OracleSettings
+from cophy.errors import CophyError
+from cophy.models.derenderer import Derenderer
+from cophy.training.runs.execution import Plan, carry_out
+from cophy.training.runs.identity import Run
+from cophy.training.runs.oracle import carry_out_oracle
+from cophy.training.runs.stages import Stage, derendering_stage, prediction_stage
+from cophy.training.trained.checkpoints import Origin
+from cophy.training.trained.network import build_network
+from cophy.training.trained.resuming import check_resumable
+from cophy.training.trained.trained_derenderer import TrainedDerenderer, find_derenderer
+
+
+def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, float]:
+    """Carry out the run that a configuration describes.
+
+    Args:
+        settings: The typed configuration.
+        plain: The same as plain values, of which the model's arguments and parts of every checkpoint are made.
+        run: Its names and place.
+
+    Returns:
+        The mean of every measure on the test split; nothing from a trial (`trainer.fast_dev_run`).
+    """
+    started = time.monotonic()
+    torch.set_num_threads(settings.threads)
+    L.seed_everything(settings.seed, workers=True, verbose=False)
+    if isinstance(settings.model, OracleConfig):
+        return _carry_out_oracle(settings, settings.model, run, started)
+    resume = None if settings.ckpt is None else Path(settings.ckpt)
+    plan = Plan(plain["trainer"], settings.seed, settings.threads, settings.reuse, resume, started)
+    stage, origin = _stage(settings, plain, run, resume)
+    return carry_out(run, stage, plan, origin)
+
+
+def _stage(settings: TrainConfig, plain: dict[str, Any], run: Run, resume: Path | None) -> tuple[Stage, Origin]:
+    """The stage that the network belongs to, its data made and loaded, and what goes into its checkpoints."""
+    network, every = build_network(plain["model"]), settings.figures_every_n_epochs
+    if isinstance(network, Derenderer):
+        frames = _frames(settings, network.resolution)
+        origin = _prepare(frames, plain, resume)
+        return derendering_stage(network, frames, settings.training, figures_every_n_epochs=every), origin
+    experiments = _experiments(settings, run, given_confounders=plain["model"].get("confounders") == "ground_truth")
+    origin = _prepare(experiments, plain, resume)
+    return prediction_stage(network, experiments, settings.training, run, figures_every_n_epochs=every), origin
+
+
+def _prepare(data: CounterfactualDataModule | FrameDataModule, plain: dict[str, Any], resume: Path | None) -> Origin:
+    """Make and load the data; a checkpoint that does not fit is refused before."""
+    parts = ("model", "training", "scenario", "split", "size", "data_seed", "positions", "num_objects", "render")
+    origin = Origin(**{part: plain[part] for part in parts}, trained_on=data.trained_on)
+    if resume is not None:
+        check_resumable(resume, origin)
+    data.prepare_data()
+    data.setup()
+    return origin
+
+
+def _frames(settings: TrainConfig, resolution: int) -> FrameDataModule:
+    if "rgb" not in settings.render.modalities:
+        raise CophyError("a de-renderer sees RGB: use render=rgb or render=all")
+    return FrameDataModule(
+        experiments_of(settings, settings.num_objects),
+        render=settings.render,
+        resolution=resolution,
+        num_images=settings.num_images,
+        data_seed=settings.data_seed,
+        batch_size=settings.training.batch_size,
+        workers=settings.workers,
+    )
+
+
+def _experiments(settings: TrainConfig, run: Run, *, given_confounders: bool) -> CounterfactualDataModule:
+    estimated, learnt = ESTIMATED[settings.positions], settings.training.confounder_weight > 0
+    if learnt and "train" in estimated:
+        raise CophyError(
+            f"positions={settings.positions} does not go with training.confounder_weight: confounders are of true objects"
+        )
+    train_set, test_set = (
+        experiments_of(settings, [part.num_objects])[0] for part in (settings.split.train, settings.split.test)
+    )
+    return CounterfactualDataModule(
+        settings.split,
+        train_set=train_set,
+        test_set=test_set,
+        batch_size=settings.training.batch_size,
+        workers=settings.workers,
+        derenderer=_derenderer(settings, run) if estimated else None,
+        estimated=estimated,
+        with_confounders=given_confounders,
+        needs_confounders=given_confounders or learnt,
+    )
+
+
+def _derenderer(settings: TrainConfig, run: Run) -> TrainedDerenderer:
+    """The de-renderer that `derenderer` names, or the one among the runs beside this one that knows the data."""
+    counts = settings.split.counts(None)
+    if settings.derenderer is not None:
+        derenderer = TrainedDerenderer(Path(settings.derenderer))
+    elif run.root is not None:
+        derenderer = find_derenderer(run.root, run.scenario, set(counts), run.split)
+    else:
+        raise CophyError(f"positions={settings.positions}: name the checkpoint of a de-renderer with derenderer=")
+    derenderer.check(experiments_of(settings, None))
+    return derenderer
+
+
+def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, run: Run, started: float) -> dict[str, float]:
+    if settings.ckpt is not None:
+        raise CophyError(f"ckpt={settings.ckpt}: {run.model} has nothing to train or to restore")
+    if settings.trainer.fast_dev_run:
+        raise CophyError("trainer.fast_dev_run: an oracle takes no training step to try")
+    if settings.positions != "ground_truth":
+        raise CophyError(f"positions={settings.positions}: oracles simulate, from true positions only")
+    data = _experiments(settings, run, given_confounders=False)
+    data.prepare_data()
+    data.setup()
+    asked = OracleSettings(oracle.draws, oracle.noise)
+    return carry_out_oracle(run, data, oracle.oracle, asked, started=started)

@@ -1,0 +1,74 @@
+"""Run a command; what the user can mend ends it with one line: what is wrong, where, and the nearest right spelling."""
+
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from cophy.errors import CophyError
+
+# how Hydra names a file of conf/ablation or conf/row that it cannot compose
+IN_A_FILE = re.compile(r"In '(ablation|row)/(\w+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)")
+
+
+def run(main: Callable[[], Any]) -> None:
+    """Run a Hydra main. An error that the user can mend becomes one line, any other keeps its traceback."""
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # let errors come here whole instead of being printed by Hydra
+    try:
+        main()
+    except Exception as error:
+        if not is_mendable(error):
+            raise
+        sys.exit(f"{sys.argv[0]}: {explain(error)}")
+    except KeyboardInterrupt:
+        sys.exit(f"{sys.argv[0]}: interrupted; finished shards and checkpoints are kept")
+
+
+def is_mendable(error: Exception) -> bool:
+    """Whether the person at the terminal can mend it, so that one line is enough."""
+    of_a_file = isinstance(error, OSError) and error.filename is not None
+    return of_a_file or isinstance(error, HydraException | OmegaConfBaseException | CophyError)
+
+
+def explain(error: BaseException) -> str:
+    """One line for an error that is mendable."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    if file := IN_A_FILE.match(str(error)):
+        return _explain_file(*file.group(1, 2, 3))
+    if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
+        return _explain_choice(error.missing_cfg_file, error.options)
+    cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+    if isinstance(cause, OmegaConfBaseException) and cause.key is not None:
+        what = (cause.msg or str(cause)).splitlines()[0]
+        return f"{cause.full_key or cause.key}: {what}{_suggest(str(cause.key), _siblings(cause))}"
+    return " ".join(line.strip() for line in str(error).splitlines() if line.strip())
+
+
+def _explain_file(group: str, name: str, what: str) -> str:
+    if f"Key '{group}' not in" in what:
+        return f"{group}={name}: its YAML must start with the line '# @package _global_'"
+    return f"{group}={name} does not go with this model: {what}"
+
+
+def _explain_choice(file: str, options: Sequence[str]) -> str:
+    group, _, name = file.rpartition("/")
+    choices = ", ".join(sorted(options))
+    found = f"{group}={name} does not exist{_suggest(name, options)}; there are {choices}"
+    return f"{found} (a folder of your own: --config-dir)"
+
+
+def _siblings(error: OmegaConfBaseException) -> list[str]:
+    node = error.parent_node
+    return [str(key) for key in node] if OmegaConf.is_dict(node) else []
+
+
+def _suggest(name: str, known: Sequence[str]) -> str:
+    close = [match for match in get_close_matches(name, known, n=1) if match != name]
+    return f" (did you mean {close[0]}?)" if close else ""

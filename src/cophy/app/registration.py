@@ -1,0 +1,65 @@
+"""Makes the schemas known to Hydra.
+
+They live in groups of their own (`schema/...`), so that `glob(*)` over scenarios or models finds rows only.
+"""
+
+from hydra.core.config_store import ConfigStore
+
+from cophy.app.model_schemas import (
+    CoPhyNetConfig,
+    CopyBConfig,
+    CopyCConfig,
+    DerendererConfig,
+    InteractionNetworkConfig,
+    OracleConfig,
+)
+from cophy.app.schemas import (
+    AuditConfig,
+    DerenderConfig,
+    ExportConfig,
+    GenerateConfig,
+    LookConfig,
+    PredictConfig,
+    ReportConfig,
+    TrainConfig,
+)
+from cophy.dataset.source import Source
+from cophy.dataset.spec import Size
+from cophy.dataset.splits import Split
+from cophy.scenario import Balls, Blocktower, Collision, Scenario
+from cophy.scenario.rendering.frames import RenderSettings
+
+SCENARIOS: dict[str, type[Scenario]] = {"blocktower": Blocktower, "balls": Balls, "collision": Collision}
+SCHEMAS: dict[str, dict[str, type]] = {
+    "root": {
+        "train": TrainConfig,
+        "generate": GenerateConfig,
+        "audit": AuditConfig,
+        "export": ExportConfig,
+        "derender": DerenderConfig,
+        "look": LookConfig,
+        "predict": PredictConfig,
+        "report": ReportConfig,
+    },
+    "scenario": {**SCENARIOS},
+    "split": {"split": Split},
+    "size": {"size": Size},
+    "source": {"source": Source},
+    "render": {"render": RenderSettings},
+    "model": {
+        "cophynet": CoPhyNetConfig,
+        "interaction_network": InteractionNetworkConfig,
+        "derenderer": DerendererConfig,
+        "oracle": OracleConfig,
+        "copy_c": CopyCConfig,
+        "copy_b": CopyBConfig,
+    },
+}
+
+
+def register() -> None:
+    """Make the schemas known to Hydra, as `schema/<group>/<name>`."""
+    store = ConfigStore.instance()
+    for group, schemas in SCHEMAS.items():
+        for name, schema in schemas.items():
+            store.store(group=f"schema/{group}", name=name, node=schema)

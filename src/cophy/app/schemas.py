@@ -1,0 +1,198 @@
+"""One dataclass per command: the types and ranges of its keys, so that a wrong one stops every run before the first.
+
+Scenario, split, size, source, render, model and trainer are groups of conf/.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from omegaconf import MISSING
+
+from cophy.dataset.source import Source
+from cophy.dataset.spec import Size
+from cophy.dataset.splits import Split
+from cophy.scenario import Scenario
+from cophy.scenario.rendering.frames import RenderSettings
+from cophy.training.settings import Training
+
+# positions= -> the splits of which a predictor sees what a de-renderer estimates; of the others it sees the truth
+ESTIMATED: dict[str, tuple[str, ...]] = {
+    "ground_truth": (),
+    "derendered": ("train", "val", "test"),
+    "train_ground_truth_test_derendered": ("test",),  # the paper's headline setting
+}
+
+
+@dataclass
+class DataConfig:
+    """What every command that touches data takes. num_objects: None for those that the split needs."""
+
+    scenario: Scenario = MISSING
+    split: Split = MISSING
+    size: Size = MISSING
+    num_objects: list[int] | None = None
+    data_dir: str = MISSING
+    data_seed: int = MISSING
+
+    def __post_init__(self) -> None:
+        _at_least(0, data_seed=self.data_seed)
+
+
+@dataclass
+class MakeDataConfig(DataConfig):
+    """What every command that makes data takes. workers: processes."""
+
+    workers: int = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_least(1, workers=self.workers)
+
+
+@dataclass
+class RenderDataConfig(MakeDataConfig):
+    """What every command that renders data takes."""
+
+    render: RenderSettings = MISSING
+
+
+@dataclass
+class GenerateConfig(RenderDataConfig):
+    """generate.py. seed: a short name of data_seed."""
+
+    seed: int = MISSING
+
+
+@dataclass
+class AuditConfig(DataConfig):
+    """audit.py. replayed_pairs: twin pairs per dataset that are made and simulated again. seed: as in generate.py."""
+
+    source: Source = MISSING
+    replayed_pairs: int = MISSING
+    directory: str = MISSING
+    seed: int = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_least(1, replayed_pairs=self.replayed_pairs)
+
+
+@dataclass
+class LookConfig(RenderDataConfig):
+    """look.py. experiment: shown in time. num_shown: experiments on the contact sheet."""
+
+    experiment: int = MISSING
+    num_shown: int = MISSING
+    directory: str = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_least(1, num_shown=self.num_shown)
+
+
+@dataclass
+class ExportConfig(RenderDataConfig):
+    """export.py. format: of a released dataset. root: the folder to write to."""
+
+    format: str = MISSING
+    root: str = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.format != "cophy":
+            raise ValueError(f"format={self.format} is not cophy, the one format that is written")
+
+
+@dataclass
+class DerenderConfig(MakeDataConfig):
+    """derender.py. derenderer: a checkpoint, None for the one that fits among the runs in `outputs`."""
+
+    source: Source = MISSING
+    derenderer: str | None = None
+    outputs: str = MISSING
+
+
+@dataclass
+class TrainerConfig:
+    """Arguments of lightning.Trainer that a run may set."""
+
+    max_epochs: int = MISSING
+    accelerator: str = MISSING
+    devices: Any = MISSING  # a number, "auto" or a list of numbers; such unions OmegaConf 2.3 cannot merge
+    precision: str = MISSING
+    deterministic: bool = MISSING
+    gradient_clip_val: float | None = None
+    max_time: str | None = None
+    check_val_every_n_epoch: int = 1
+    limit_train_batches: Any = None  # a number of batches, or a share; likewise
+    limit_val_batches: Any = None  # a number of batches, or a share
+    limit_test_batches: Any = None  # a number of batches, or a share
+    fast_dev_run: bool = False
+    log_every_n_steps: int = 50
+    enable_progress_bar: bool = True
+    enable_model_summary: bool = True
+    num_nodes: int = 1
+    strategy: str = "auto"
+    profiler: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.max_epochs == 0 or self.max_epochs < -1:
+            raise ValueError(f"trainer.max_epochs={self.max_epochs} must be positive, or -1 for no limit")
+
+
+@dataclass
+class TrainConfig(RenderDataConfig):
+    """train.py. seed: of the training. render, num_images, num_objects: what a de-renderer is trained on.
+
+    derenderer: checkpoint of the one whose estimates a predictor sees; None finds it in outputs/. model: a schema of
+    `model_schemas`, or any keys for a model of one's own.
+    """
+
+    source: Source = MISSING
+    model: Any = MISSING
+    training: Training = MISSING
+    trainer: TrainerConfig = MISSING
+    positions: str = MISSING
+    num_images: int = MISSING
+    derenderer: str | None = None
+    seed: int = MISSING
+    threads: int = MISSING
+    figures_every_n_epochs: int = MISSING
+    reuse: bool = MISSING
+    ckpt: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_least(0, seed=self.seed)
+        _at_least(1, threads=self.threads, figures_every_n_epochs=self.figures_every_n_epochs)
+        _at_least(10, num_images=self.num_images)
+        if self.positions not in ESTIMATED:
+            raise ValueError(f"positions={self.positions} is not among {', '.join(ESTIMATED)}")
+
+
+@dataclass
+class PredictConfig:
+    """predict.py, whose YAML explains the keys."""
+
+    observed: str = MISSING
+    initial: str = MISSING
+    truth: str | None = None
+    derenderer: str = MISSING
+    predictor: str = MISSING
+    directory: str = MISSING
+
+
+@dataclass
+class ReportConfig:
+    """report.py. source: of the data that the runs are on. outputs: where train.py wrote its runs."""
+
+    source: Source = MISSING
+    outputs: str = MISSING
+    data_dir: str = MISSING
+    directory: str = MISSING
+
+
+def _at_least(smallest: int, **values: int) -> None:
+    for key, value in values.items():
+        if value < smallest:
+            raise ValueError(f"{key}={value} must be at least {smallest}")

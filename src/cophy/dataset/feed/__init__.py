@@ -1,0 +1,9 @@
+"""What models are fed: stored arrays as tensors, and the LightningDataModules over them.
+
+batches: arrays of experiments to `Batch`: what models see, and the truth.
+confounder_features: the true confounders as numbers per object, standardised.
+counterfactual_dataset: one split of experiments, whole in memory.
+counterfactual_datamodule: experiments for predictors of D.
+frame_dataset: single frames, read when they are asked for.
+frame_datamodule: frames for de-renderers.
+"""

@@ -1,0 +1,80 @@
+"""Arrays of experiments to tensors: what a model sees of them, and the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from cophy.dataset.feed.confounder_features import confounder_classes
+from cophy.dataset.state_features import stable_frames
+from cophy.scenario import Scenario
+from cophy.types import Batch, Inputs, Targets
+
+
+def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
+    """Positions at the frame rate, presence and stability of all experiments; without confounders."""
+    stride = scenario.clock.states_per_frame
+    positions = torch.from_numpy(arrays["states"][:, :, ::stride, :, :3].copy())
+    observed_presence, presence = torch.from_numpy(arrays["presence"]).unbind(1)
+    observed_stable, stable = (
+        torch.from_numpy(stable_frames(states, stride, scenario.task.stable_speed))
+        for states in np.moveaxis(arrays["states"], 1, 0)
+    )
+    inputs = Inputs(
+        observed=positions[:, 0],
+        observed_presence=observed_presence,
+        observed_stable=observed_stable,
+        initial=positions[:, 1, 0],
+        presence=presence,
+    )
+    targets = Targets(
+        position=positions[:, 1, 1:],
+        stable=stable,
+        presence=presence,
+        initial=positions[:, 1, 0],
+        observed_presence=observed_presence,
+        confounder_class=confounder_classes(arrays, scenario.confounders),
+    )
+    return Batch(inputs, targets)
+
+
+def estimated_inputs(estimates: dict[str, np.ndarray], scenario: Scenario) -> Inputs:
+    """AB and C as a de-renderer saw them.
+
+    An object is in AB if most frames of AB show it, and in CD if C shows it. It counts as stable where it moves from
+    frame to frame as slowly as stable objects do.
+
+    Args:
+        estimates: `position` (experiment, 2, T, slot, 3) in metres, and `presence_logit` (experiment, 2, T, slot).
+        scenario: Says what stable means, and how fast frames follow each other.
+    """
+    position, logit = (torch.from_numpy(estimates[name]) for name in ("position", "presence_logit"))
+    observed_presence, presence = (logit[:, 0] > 0).float().mean(dim=1) > 0.5, logit[:, 1, 0] > 0
+    return Inputs(
+        observed=position[:, 0] * observed_presence[:, None, :, None],
+        observed_presence=observed_presence,
+        observed_stable=_seems_stable(position[:, 0], scenario),
+        initial=position[:, 1, 0] * presence[..., None],
+        presence=presence,
+    )
+
+
+def with_estimates(batch: Batch, estimates: dict[str, np.ndarray], scenario: Scenario) -> Batch:
+    """Replace what a model sees by what a de-renderer saw.
+
+    Args:
+        batch: Experiments with true positions; what is to be predicted stays the truth.
+        estimates: See `estimated_inputs`.
+        scenario: Likewise.
+    """
+    seen = estimated_inputs(estimates, scenario)
+    return replace(batch, inputs=replace(seen, confounders=batch.inputs.confounders))
+
+
+def _seems_stable(
+    position: Float[Tensor, "batch time slots 3"], scenario: Scenario
+) -> Bool[Tensor, "batch steps slots"]:
+    speed = (position[:, 1:] - position[:, :-1]).norm(dim=-1) * scenario.clock.frame_rate_hz
+    return speed < scenario.task.stable_speed

@@ -1,0 +1,160 @@
+"""Experiments for predictors: makes what is missing, and holds all splits in memory."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import lightning as L
+import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from cophy.dataset import generation
+from cophy.dataset.feed.batches import to_batch, with_estimates
+from cophy.dataset.feed.confounder_features import confounder_features, confounder_statistics, standardised
+from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
+from cophy.dataset.splits import SPLITS, Split
+from cophy.dataset.store.estimates import Estimates, Sees
+from cophy.dataset.store.experiment_set import ExperimentSet
+from cophy.errors import CophyError
+from cophy.types import Batch
+
+Arrays = dict[str, np.ndarray]
+
+
+class CounterfactualDataModule(L.LightningDataModule):
+    """Trains and validates on one part of the data, tests on another or the same (conf/split).
+
+    Attributes:
+        train, val, test: The three splits, once `setup` was called.
+        test_pairs: (experiment,) the twin pair of each test experiment.
+        test_experiments: (experiment,) the index of each test experiment in its dataset.
+        knows_confounders: Whether the data tell all true confounders.
+    """
+
+    def __init__(
+        self,
+        split: Split,
+        *,
+        train_set: ExperimentSet,
+        test_set: ExperimentSet,
+        batch_size: int,
+        workers: int,
+        derenderer: Sees | None = None,
+        estimated: Sequence[str] = (),
+        with_confounders: bool = False,
+        needs_confounders: bool = False,
+    ) -> None:
+        """Note what is wanted; nothing is read yet.
+
+        Args:
+            split: Which experiments are trained on, and which are tested on.
+            train_set: The experiments of which some are trained and validated on.
+            test_set: The experiments of which some are tested on; may be the same.
+            batch_size: Experiments in a batch.
+            workers: Processes that make missing data.
+            derenderer: Whose estimates of AB and C are seen instead of true positions, or None.
+            estimated: Names of the splits of which only the estimates are seen.
+            with_confounders: Whether the true confounders are among the inputs.
+            needs_confounders: Whether the run needs data that tell them, as input or to learn from.
+        """
+        super().__init__()
+        split.check_scenario(train_set.spec.scenario)
+        self.split, self.scenario = split, train_set.spec.scenario
+        self.train_set, self.test_set = train_set, test_set
+        self.batch_size, self.workers = batch_size, workers
+        self.derenderer, self.estimated = derenderer, estimated
+        self.with_confounders, self.needs_confounders = with_confounders, needs_confounders
+
+    @property
+    def dataset_ids(self) -> list[str]:
+        """Datasets this split reads: the training one first, then the test one if it is another."""
+        return list(dict.fromkeys([self.train_set.id, self.test_set.id]))
+
+    @property
+    def trained_on(self) -> list[Any]:
+        """All that the training batches are a function of, as plain values."""
+        seen = self.derenderer.name if self.derenderer and "train" in self.estimated else None
+        task = {key: value for key, value in asdict(self.scenario.task).items() if key != "splits"}  # names, no data
+        return [self.train_set.id, asdict(self.split.train), task, seen]
+
+    @property
+    def mean_position(self) -> Float[Tensor, "3"]:
+        """Mean true position of the objects in C over the training split, metres."""
+        truth = self.train.batch.targets
+        return truth.initial[truth.presence].mean(dim=0)
+
+    def prepare_data(self) -> None:
+        """Generate what is missing, or index what was released."""
+        for experiments in (self.train_set, self.test_set):
+            generation.ensure(experiments, workers=self.workers)
+            if estimates := self._estimates(experiments):
+                estimates.ensure(workers=self.workers)
+
+    def setup(self, stage: str | None = None) -> None:
+        """Load all splits; confounders are standardised over the training one."""
+        if hasattr(self, "train"):
+            return
+        arrays = {each.id: self._load(each) for each in (self.train_set, self.test_set)}
+        chosen = {split: self._select(arrays, split) for split in SPLITS}
+        batches = {split: to_batch(chosen[split], self.scenario) for split in SPLITS}
+        self._add_confounders(batches, chosen)
+        for split in self.estimated:
+            batches[split] = with_estimates(batches[split], chosen[split], self.scenario)
+        self.test_pairs = chosen["test"]["twin"]
+        self.test_experiments = np.flatnonzero(self.split.test.select_split(arrays[self.test_set.id], "test"))
+        self.train, self.val, self.test = (CounterfactualDataset(batches[split]) for split in SPLITS)
+
+    def train_dataloader(self) -> DataLoader[Batch]:
+        return self.train.loader(self.batch_size, shuffle=True)
+
+    def val_dataloader(self) -> DataLoader[Batch]:
+        return self.val.loader(self.batch_size, shuffle=False)
+
+    def test_dataloader(self) -> DataLoader[Batch]:
+        return self.test.loader(self.batch_size, shuffle=False)
+
+    def _select(self, arrays: dict[str, Arrays], split: str) -> Arrays:
+        experiments, part = self._set_of(split), self.split.test if split == "test" else self.split.train
+        stored = arrays[experiments.id]
+        rows = part.select_split(stored, split)
+        if not rows.any():
+            raise CophyError(
+                f"split={self.split.name} leaves no {split} experiments of {experiments.id}: {experiments.remedy}"
+            )
+        return {name: array[rows] for name, array in stored.items()}
+
+    def _set_of(self, split: str) -> ExperimentSet:
+        return self.test_set if split == "test" else self.train_set
+
+    def _add_confounders(self, batches: dict[str, Batch], chosen: dict[str, Arrays]) -> None:
+        features = {split: confounder_features(chosen[split]) for split in SPLITS}
+        self.knows_confounders = not any(values.isnan().any() for values in features.values())
+        if self.needs_confounders and not self.knows_confounders:
+            raise CophyError(
+                f"{self.train_set.directory} does not tell all true confounders, which this run needs: use other data"
+            )
+        if not self.with_confounders:
+            return
+        presence = {split: batches[split].inputs.observed_presence for split in SPLITS}
+        statistics = confounder_statistics(features["train"], presence["train"])
+        for split, batch in batches.items():
+            given = standardised(features[split], presence[split], statistics)
+            batches[split] = replace(batch, inputs=replace(batch.inputs, confounders=given))
+
+    def _estimates(self, experiments: ExperimentSet) -> Estimates | None:
+        """Those of a dataset, if one of its splits is seen through them."""
+        if self.derenderer is None or experiments.id not in {self._set_of(split).id for split in self.estimated}:
+            return None
+        return Estimates(experiments.frames(self.derenderer.render), self.derenderer)
+
+    def _load(self, experiments: ExperimentSet) -> Arrays:
+        arrays, estimates = experiments.load(), self._estimates(experiments)
+        if estimates is None:
+            return arrays
+        if "clip" in arrays and not arrays["clip"].all():
+            missing = (~arrays["clip"].all(axis=1)).sum()
+            raise CophyError(f"{missing} experiments of {experiments.id} have no RGB clips to estimate positions from")
+        rows = arrays.get("experiment", slice(None))
+        return arrays | {name: array[rows] for name, array in estimates.load().items()}

@@ -1,0 +1,96 @@
+"""Frames for de-renderers: makes and renders what is missing, and chooses frames at random."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import lightning as L
+from torch.utils.data import DataLoader
+
+from cophy.dataset.feed.frame_dataset import FrameBatch, FrameDataset
+from cophy.dataset.splits import SPLITS
+from cophy.dataset.store.experiment_set import ExperimentSet
+from cophy.scenario.rendering.frames import RenderSettings
+
+
+class FrameDataModule(L.LightningDataModule):
+    """Frames of several datasets of one scenario.
+
+    Training and validation frames are of the training and validation parts of each dataset, also of one that the
+    split only tests on: a de-renderer has to know every number of objects.
+
+    Attributes:
+        train, val, test: The three splits, once `setup` was called.
+    """
+
+    def __init__(
+        self,
+        sets: Sequence[ExperimentSet],
+        *,
+        render: RenderSettings,
+        resolution: int,
+        num_images: int,
+        data_seed: int,
+        batch_size: int,
+        workers: int,
+    ) -> None:
+        """Note what is wanted; nothing is read yet.
+
+        Args:
+            sets: Experiments, one set for each number of objects.
+            render: The pictures to take frames of, rendered first where they are missing.
+            resolution: Edge of the images that the de-renderer sees, pixels.
+            num_images: Frames to train on; a tenth of it to validate, and as many to test on.
+            data_seed: Says which frames are chosen.
+            batch_size: Frames in a batch.
+            workers: Processes that make missing data, and that read frames.
+        """
+        super().__init__()
+        self.sets, self.scenario = sets, sets[0].spec.scenario
+        self.render, self.resolution, self.num_images = render, resolution, num_images
+        self.data_seed, self.batch_size, self.workers = data_seed, batch_size, workers
+
+    @property
+    def dataset_ids(self) -> list[str]:
+        """The datasets whose frames are seen."""
+        return [experiments.id for experiments in self.sets]
+
+    @property
+    def trained_on(self) -> list[Any]:
+        """All that the training frames are a function of, as plain values."""
+        names = [experiments.frames(self.render).name for experiments in self.sets]
+        return [self.dataset_ids, names, self.num_images, self.data_seed]
+
+    def prepare_data(self) -> None:
+        """Generate and render what is missing."""
+        for experiments in self.sets:
+            experiments.frames(self.render).ensure(workers=self.workers)
+
+    def setup(self, stage: str | None = None) -> None:
+        """Choose the frames of each split."""
+        if hasattr(self, "train"):
+            return
+        sources = [(experiments.frames(self.render), experiments.load()) for experiments in self.sets]
+        counts = self.num_images, self.num_images // 10, self.num_images // 10
+        self.train, self.val, self.test = (
+            FrameDataset(sources, split=split, resolution=self.resolution).sample(count, self.data_seed)
+            for split, count in zip(SPLITS, counts, strict=True)
+        )
+
+    def train_dataloader(self) -> DataLoader[FrameBatch]:
+        return self._loader(self.train, shuffle=True)
+
+    def val_dataloader(self) -> DataLoader[FrameBatch]:
+        return self._loader(self.val, shuffle=False)
+
+    def test_dataloader(self) -> DataLoader[FrameBatch]:
+        return self._loader(self.test, shuffle=False)
+
+    def _loader(self, frames: FrameDataset, *, shuffle: bool) -> DataLoader[FrameBatch]:
+        return DataLoader(
+            frames,
+            batch_size=self.batch_size,
+            shuffle=shuffle,
+            num_workers=self.workers,
+            persistent_workers=self.workers > 0,
+            multiprocessing_context="fork" if self.workers else None,  # loky, joblib's own, cannot start loaders
+        )

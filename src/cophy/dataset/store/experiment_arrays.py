@@ -1,0 +1,98 @@
+"""Generated experiments as arrays: the fields of a shard, and how they are filled."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.splits import split_of_experiments
+from cophy.dataset.store.hdf5_arrays import Field, Fields, empty_arrays
+from cophy.scenario import Displace, Experiment
+from cophy.scenario.search.assignment import seen_configurations
+
+# What is called a cell everywhere else is called a stratum on disk: an array of the shards, and a list of names in the
+# manifest. The first datasets were written so, and bytes do not change.
+CELL_ON_DISK = "stratum"
+CELLS_ON_DISK = "strata"
+
+CONFOUNDERS_OF_OBJECTS = ("mass", "friction", "restitution")
+
+
+def states_field(shape: tuple[int, ...]) -> Field:
+    """States of `shape` (experiment, ...), compressed one experiment at a time."""
+    storage = {"chunks": (1, *shape[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True}
+    return Field(shape, "<f4", storage=storage)
+
+
+def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
+    """Fields of `count` experiments. Sequence 0 is observed (AB), 1 counterfactual (CD).
+
+    states: position, quaternion_xyzw, linear and angular velocity at the state rate. object_index: place in the
+    scenario's own order (towers: bottom to top), which `configuration` refers to; -1 where the slot is empty.
+    do_operation: index into the scenario's do_operations, with the slot and offset (m) it concerns.
+    cell: index into the scenario's cells.
+    """
+    slots, times = spec.scenario.num_slots, spec.scenario.clock.num_states
+    return {
+        "states": states_field((count, 2, times, slots, 13)),
+        "presence": Field((count, 2, slots), "|b1"),
+        "shape": Field((count, slots), "|u1"),
+        "object_index": Field((count, slots), "|i1"),
+        "mass": Field((count, slots), "<f4"),
+        "friction": Field((count, slots), "<f4"),
+        "restitution": Field((count, slots), "<f4"),
+        "gravity": Field((count, 3), "<f4"),
+        "configuration": Field((count,), "<i4"),
+        "seen": Field((count,), "|b1"),
+        "do_operation": Field((count,), "|u1"),
+        "do_slot": Field((count,), "|u1"),
+        "do_offset": Field((count, 3), "<f4"),
+        "cell": Field((count,), "|u1", stored_as=CELL_ON_DISK),
+        "twin": Field((count,), "<i4"),
+        "split": Field((count,), "|u1"),
+        "background_seed": Field((count,), "<i4"),
+        "pair_simulations": Field((count,), "<i4"),
+    }
+
+
+def to_arrays(experiments: Sequence[Experiment], indices: Sequence[int], spec: DatasetSpec) -> dict[str, np.ndarray]:
+    """Stack experiments.
+
+    Args:
+        experiments: both twins of each pair, in order.
+        indices: which experiments of the dataset they are.
+        spec: of the dataset.
+    """
+    arrays = empty_arrays(experiment_fields(spec, len(indices)))
+    arrays["object_index"][:] = -1
+    arrays["twin"][:] = np.array(indices) // 2
+    arrays["split"][:] = split_of_experiments(spec.num_experiments, spec.data_seed)[list(indices)]
+    seen = seen_configurations(spec.scenario.confounders.num_configurations(spec.num_objects), spec.data_seed)
+    for row, experiment in enumerate(experiments):
+        for name, value in _of_experiment(experiment, spec).items():
+            arrays[name][row] = value
+        arrays["seen"][row] = seen[experiment.configuration]
+        for index, body in enumerate(experiment.scene.objects):
+            arrays["object_index"][row, body.slot] = index
+            arrays["shape"][row, body.slot] = body.shape
+            for name in CONFOUNDERS_OF_OBJECTS:
+                arrays[name][row, body.slot] = getattr(body, name)
+    return arrays
+
+
+def _of_experiment(experiment: Experiment, spec: DatasetSpec) -> dict[str, Any]:
+    operation = experiment.do_operation
+    sequences = (experiment.observed, experiment.counterfactual)
+    return {
+        "states": np.stack([sequence.states for sequence in sequences]),
+        "presence": np.stack([sequence.presence for sequence in sequences]),
+        "gravity": experiment.scene.gravity,
+        "configuration": experiment.configuration,
+        "do_operation": spec.scenario.do_operations.index(experiment.do_operation.kind),
+        "do_slot": operation.slot,
+        "do_offset": operation.offset_m if isinstance(operation, Displace) else 0.0,
+        "cell": experiment.cell,
+        "background_seed": experiment.background_seed,
+        "pair_simulations": experiment.pair_simulations,
+    }

@@ -1,0 +1,103 @@
+"""Arrays of a shard: what they look like, and how they are written to an HDF5 file and read from one safely."""
+
+import io
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+OLDEST_FORMAT = ("v110", "v110")  # of HDF5: pinned, so that bytes depend on no library version
+
+
+class DamagedShardError(Exception):
+    """A file is not a whole shard of its set; the message says what is wrong with it."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """An array of a shard.
+
+    shape: of the whole array. dtype: as NumPy writes it. stored_as: its name in the file, where that is another one.
+    storage: how HDF5 stores it (chunks, filters), as keywords of `h5py.Group.create_dataset`.
+    """
+
+    shape: tuple[int, ...]
+    dtype: str
+    stored_as: str | None = None
+    storage: Mapping[str, Any] = field(default_factory=dict)
+
+
+Fields = Mapping[str, Field]  # by the name of the array in memory, in the order in which a file stores them
+
+
+def empty_arrays(fields: Fields) -> dict[str, np.ndarray]:
+    """Arrays of zeros to be filled."""
+    return {name: np.zeros(field.shape, field.dtype) for name, field in fields.items()}
+
+
+def encode(arrays: Mapping[str, np.ndarray], fields: Fields) -> bytes:
+    """The bytes of a file with these arrays; equal arrays give equal bytes, because no time is stored."""
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver=OLDEST_FORMAT) as file:
+        for name, field in fields.items():
+            file.create_dataset(field.stored_as or name, data=arrays[name], track_times=False, **field.storage)
+    return buffer.getvalue()
+
+
+@contextmanager
+def creating(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterator[dict[str, h5py.Dataset]]:
+    """Create a file whose arrays are filled part by part: they may be larger than the memory.
+
+    Args:
+        path: of the file.
+        fields: of its arrays.
+        attributes: of the file.
+    """
+    with h5py.File(path, "w", libver=OLDEST_FORMAT) as file:
+        file.attrs.update(attributes)
+        yield {
+            name: file.create_dataset(
+                field.stored_as or name, field.shape, field.dtype, track_times=False, **field.storage
+            )
+            for name, field in fields.items()
+        }
+
+
+@contextmanager
+def reading(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterator[dict[str, h5py.Dataset]]:
+    """Open a file and find its arrays, without reading them.
+
+    Only plain arrays of the expected shape and type are accepted, and attributes of the expected value.
+
+    Args:
+        path: of the file.
+        fields: of its arrays.
+        attributes: of the file.
+
+    Raises:
+        DamagedShardError: something is missing, cut off, or not what was expected, also while arrays are read.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            if any(file.attrs[name] != value for name, value in attributes.items()):
+                raise DamagedShardError("it was made of other files than those beside it")
+            yield {name: _array_in(file, field.stored_as or name, field) for name, field in fields.items()}
+    except (OSError, KeyError, RuntimeError) as error:
+        raise DamagedShardError(" ".join(str(error).split())) from error
+
+
+def _array_in(file: h5py.File, name: str, field: Field) -> h5py.Dataset:
+    """An array that is stored in this very file; a link to another place is damage, and is not followed."""
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        raise DamagedShardError(f"'{name}' is missing or points elsewhere")
+    array = file[name]
+    if not isinstance(array, h5py.Dataset) or array.is_virtual or array.external:
+        raise DamagedShardError(f"'{name}' is not an array stored in this file")
+    if array.shape != field.shape or array.dtype != np.dtype(field.dtype):
+        expected = f"{np.dtype(field.dtype)} {field.shape}"
+        raise DamagedShardError(f"'{name}' is {array.dtype} {array.shape}, expected {expected}")
+    return array

@@ -1,0 +1,142 @@
+"""The pictures of a dataset: RGB, depth and segmentation of its states, in shards beside them; all lossless."""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import h5py
+import hdf5plugin
+import numpy as np
+from scipy import ndimage
+
+from cophy.dataset import generation
+from cophy.dataset.store.experiment_set import Clip, ExperimentSet, Reader
+from cophy.dataset.store.hdf5_arrays import Field, Fields, creating
+from cophy.dataset.store.shardset import ShardSet
+from cophy.scenario.rendering.frames import NO_OBJECT, Frames, RenderSettings
+from cophy.scenario.rendering.renderer import Renderer
+
+FORMAT_VERSION = 1  # raise it when what is stored, or what a picture looks like, changes
+FRAMES_PER_CHUNK = 5  # a random frame costs the decompression of five
+CHANNELS = {"rgb": ((3,), "|u1"), "depth": ((), "<u2"), "segmentation": ((), "|u1")}
+
+
+class Images(ShardSet):
+    """Pictures of every frame of AB (sequence 0) and CD (1), in a directory below that of the states.
+
+    rgb: (experiment, 2, T, R, R, 3) uint8. depth: (experiment, 2, T, R, R) uint16, millimetres along the camera's axis,
+    0 where there is nothing. segmentation: the same shape, uint8, slot or 255. boxes: (experiment, 2, T, slot, 4) int16,
+    first and last column and row (x1, y1, x2, y2) of what is seen of the object, -1 where nothing is.
+    """
+
+    def __init__(self, states: ExperimentSet, render: RenderSettings) -> None:
+        self.states, self.render = states, render
+        content = json.dumps([FORMAT_VERSION, sorted(render.modalities), render.resolution, render.backend.value])
+        kind = "rgb" if render.modalities == ["rgb"] else "images"
+        name = f"{kind}-{render.resolution}-{render.backend.value}-{hashlib.sha256(content.encode()).hexdigest()[:6]}"
+        choice = "render=rgb" if kind == "rgb" else f"render=all 'render.modalities=[{','.join(render.modalities)}]'"
+        command = (
+            f"{states.command} {choice} render.resolution={render.resolution} render.backend={render.backend.value}"
+        )
+        super().__init__(states.spec, states.directory / name, title=f"pictures of {states.title}", command=command)
+
+    @property
+    def name(self) -> str:
+        """Of its directory: modalities, resolution and renderer."""
+        return self.directory.name
+
+    def ensure(self, *, workers: int) -> None:
+        """Generate and render what is missing."""
+        generation.ensure(self.states, workers=workers)
+        generation.ensure(self, workers=workers)
+
+    def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
+        """Reads frames; keeps the shards open that it has read from."""
+        self.finished_checksums()
+        opened: dict[int, h5py.Dataset] = {}
+        per_shard = len(self.spec.experiments_of_shard(0))
+
+        def read(row: int, sequence: int, time: int) -> np.ndarray:
+            shard, place = divmod(row, per_shard)
+            with self.explained(shard):
+                if shard not in opened:
+                    self.check(self.path(shard), shard)
+                    opened[shard] = h5py.File(self.path(shard), "r")["rgb"]
+                return np.asarray(opened[shard][place, sequence, time])
+
+        return read
+
+    def sequences(self, shard: int) -> Iterator[Clip]:
+        """(experiment of the shard, sequence, RGB (T, R, R, 3)), in their order."""
+        with self.explained(shard), self.opened(self.path(shard), shard) as stored:
+            for row in range(len(self.spec.experiments_of_shard(shard))):
+                for sequence in (0, 1):
+                    yield row, sequence, stored["rgb"][row, sequence]
+
+    def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
+        """Draw all frames of a shard's experiments, a sequence at a time."""
+        arrays, scenario = self.states.read(shard), self.spec.scenario
+        stride = scenario.clock.states_per_frame
+        with (
+            Renderer(scenario, self.render.resolution, self.render.backend) as renderer,
+            creating(path, self.fields(shard), self.sources(shard)) as stored,
+        ):
+            for row, states in enumerate(arrays["states"]):
+                for sequence in (0, 1):
+                    seen = states[sequence, ::stride]
+                    frames = renderer.render(
+                        seen[..., :3],
+                        seen[..., 3:7],
+                        presence=arrays["presence"][row, sequence],
+                        shapes=arrays["shape"][row].tolist(),
+                        background_seed=int(arrays["background_seed"][row]),
+                    )
+                    for name in self.render.modalities:
+                        stored[name][row, sequence] = getattr(frames, name)
+                    stored["boxes"][row, sequence] = bounding_boxes(frames, scenario.num_slots)
+                advance(1)
+            return {"CPU-s inside PyBullet's camera": renderer.camera_seconds}
+
+    def check(self, path: Path, shard: int) -> None:
+        """The right arrays, and of the states that lie beside them; pixels have checksums of their own."""
+        with self.opened(path, shard):
+            pass
+
+    def sources(self, shard: int) -> dict[str, str]:
+        """The states that are shown."""
+        return {"states_sha256": self.states.checksum(shard)}
+
+    def fields(self, shard: int) -> Fields:
+        size, scenario = self.render.resolution, self.spec.scenario
+        sequences = (len(self.spec.experiments_of_shard(shard)), 2, scenario.clock.num_frames)
+        fields = {
+            name: _field((*sequences, size, size, *channels), dtype)
+            for name, (channels, dtype) in CHANNELS.items()
+            if name in self.render.modalities
+        }
+        return fields | {"boxes": _field((*sequences, scenario.num_slots, 4), "<i2")}
+
+    def description(self) -> dict[str, Any]:
+        """What was rendered, of which dataset, and with what."""
+        settings = asdict(self.render) | {"backend": self.render.backend.value}
+        return {"format": FORMAT_VERSION, "dataset": self.states.id, "render": settings, "no_object": NO_OBJECT}
+
+
+def _field(shape: tuple[int, ...], dtype: str) -> Field:
+    chunks = (1, 1, FRAMES_PER_CHUNK, *shape[3:])
+    return Field(shape, dtype, storage={"chunks": chunks, "fletcher32": True, **hdf5plugin.Zstd(clevel=3)})
+
+
+def bounding_boxes(frames: Frames, num_slots: int) -> np.ndarray:
+    """(T, slot, 4) int16: x1, y1, x2, y2 of the pixels of each slot's object, inclusive; -1 where it is not seen."""
+    boxes = np.full((len(frames.segmentation), num_slots, 4), -1, dtype=np.int16)
+    labels = frames.segmentation + np.uint8(1)  # 0 is background: NO_OBJECT, the largest uint8, wraps around to it
+    for time, frame in enumerate(labels):
+        for slot, found in enumerate(ndimage.find_objects(frame, max_label=num_slots)):
+            if found is not None:
+                rows, columns = found
+                boxes[time, slot] = (columns.start, rows.start, columns.stop - 1, rows.stop - 1)
+    return boxes

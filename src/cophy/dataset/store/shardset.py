@@ -1,0 +1,166 @@
+"""Files shard-00000.h5 ... of one directory: made whole, vouched for by a manifest, and read safely."""
+
+import errno
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import h5py
+import numpy as np
+
+from cophy.atomic_files import sha256
+from cophy.dataset.store import manifest
+from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, reading
+from cophy.errors import CophyError
+from cophy.scenario import Scenario
+
+
+class Sharded(Protocol):
+    """Experiments in an order, so many to a file."""
+
+    @property
+    def scenario(self) -> Scenario: ...
+
+    @property
+    def num_objects(self) -> int: ...
+
+    @property
+    def num_experiments(self) -> int: ...
+
+    @property
+    def num_shards(self) -> int: ...
+
+    def experiments_of_shard(self, shard: int) -> range:
+        """Indices of the experiments in a shard."""
+        ...
+
+
+class ShardSet(ABC):
+    """Arrays of all experiments of a dataset, in shards of one directory: a pure function of a configuration.
+
+    A subclass says which fields a shard has, how a shard is made, what is checked beyond shapes and types, and of which
+    other files a shard was made.
+
+    title: what is in it, for people. command: what makes, continues or repairs it.
+    """
+
+    def __init__(self, spec: Sharded, directory: Path, *, title: str, command: str) -> None:
+        self.spec, self.directory, self.title, self.command = spec, directory, title, command
+
+    @abstractmethod
+    def fields(self, shard: int) -> Fields:
+        """The arrays of a shard."""
+
+    @abstractmethod
+    def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
+        """Make one shard.
+
+        Args:
+            path: the file to write.
+            shard: its number.
+            advance: to be called with the number of experiments just done.
+
+        Returns:
+            What it took, per unit, to be logged.
+        """
+
+    @abstractmethod
+    def description(self) -> dict[str, Any]:
+        """What the manifest says besides versions and checksums."""
+
+    def sources(self, shard: int) -> dict[str, str]:
+        """SHA-256 of the files that a shard was made of; they are stored as its attributes."""
+        return {}
+
+    def check_arrays(self, arrays: dict[str, np.ndarray], shard: int) -> None:  # noqa: B027, nothing unless overridden
+        """Raise DamagedShardError where values cannot be, although shapes and types are right."""
+
+    def check(self, path: Path, shard: int) -> None:
+        """Read it all; raise DamagedShardError unless the file is whole and holds what this set says."""
+        self._read(path, shard)
+
+    def path(self, shard: int) -> Path:
+        """File of a shard."""
+        return self.directory / f"shard-{shard:05d}.h5"
+
+    def is_finished(self) -> bool:
+        """Whether generation came to its end and every shard is still there; reading checks what is in them."""
+        return self.checksums() is not None and all(path.exists() for path in self._paths())
+
+    def checksums(self) -> dict[str, str] | None:
+        """SHA-256 per shard as the manifest has them, or None where there is no manifest yet."""
+        try:
+            return manifest.read_checksums(self.directory, [path.name for path in self._paths()])
+        except manifest.DamagedManifestError as error:
+            path = self.directory / manifest.MANIFEST
+            raise CophyError(f"{path} is damaged ({error}): delete it and run `{self.command}`") from error
+
+    def finished_checksums(self) -> dict[str, str]:
+        """The checksums of a finished set; an unfinished one is an error that names the remedy."""
+        checksums = self.checksums()
+        if checksums is None:
+            raise CophyError(f"{self.directory} is not finished: run `{self.command}`")
+        return checksums
+
+    def checksum(self, shard: int) -> str:
+        """SHA-256 of a shard of a finished set."""
+        return self.finished_checksums()[self.path(shard).name]
+
+    def verify(self, shard: int, checksum: str | None) -> None:
+        """Raise DamagedShardError unless the shard is there, has the checksum (if one is known) and is whole."""
+        self._compare(shard, checksum)
+        self.check(self.path(shard), shard)
+
+    def read(self, shard: int) -> dict[str, np.ndarray]:
+        """The arrays of one shard of a finished set, checked against its checksum."""
+        return self._verified(shard, self.checksum(shard))
+
+    def load(self) -> dict[str, np.ndarray]:
+        """All arrays, experiments in order; every shard is checked against its checksum."""
+        checksums = self.finished_checksums()
+        shards = [self._verified(shard, checksums[path.name]) for shard, path in enumerate(self._paths())]
+        return {name: np.concatenate([arrays[name] for arrays in shards]) for name in shards[0]}
+
+    def opened(self, path: Path, shard: int) -> AbstractContextManager[dict[str, h5py.Dataset]]:
+        """The arrays of a shard's file, not read yet."""
+        return reading(path, self.fields(shard), self.sources(shard))
+
+    def write_manifest(self) -> None:
+        """Vouch for a finished set."""
+        manifest.write(self.directory, [path.name for path in self._paths()], self.description())
+
+    @contextmanager
+    def explained(self, shard: int) -> Iterator[None]:
+        """Turn damage found while reading a shard into an error that names the file and the remedy."""
+        try:
+            yield
+        except (DamagedShardError, OSError) as error:
+            if isinstance(error, OSError) and error.errno not in (None, errno.ENOENT, errno.EIO):
+                raise  # no permission, too many open files: nothing is wrong with the shard
+            raise CophyError(
+                f"{self.path(shard)} is damaged ({error}): run `{self.command}` to make it again"
+            ) from error
+
+    def _paths(self) -> list[Path]:
+        return [self.path(shard) for shard in range(self.spec.num_shards)]
+
+    def _compare(self, shard: int, checksum: str | None) -> None:
+        try:
+            found = None if checksum is None else sha256(self.path(shard))
+        except OSError as error:
+            raise DamagedShardError(error.strerror or str(error)) from error
+        if found != checksum:
+            raise DamagedShardError(f"its checksum is not the one in {manifest.MANIFEST}")
+
+    def _verified(self, shard: int, checksum: str) -> dict[str, np.ndarray]:
+        with self.explained(shard):
+            self._compare(shard, checksum)
+            return self._read(self.path(shard), shard)
+
+    def _read(self, path: Path, shard: int) -> dict[str, np.ndarray]:
+        with self.opened(path, shard) as stored:
+            arrays = {name: np.asarray(array[()]) for name, array in stored.items()}
+        self.check_arrays(arrays, shard)
+        return arrays

@@ -1,0 +1,105 @@
+"""The simulated part of a generated dataset: states, confounders, do-operation and split of every experiment."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cophy.dataset.card import write_card
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.splits import SPLITS
+from cophy.dataset.store.experiment_arrays import CELLS_ON_DISK, experiment_fields, to_arrays
+from cophy.dataset.store.experiment_set import ExperimentSet, OracleSettings
+from cophy.dataset.store.forecasts import OracleForecasts
+from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, encode
+from cophy.dataset.store.images import Images
+from cophy.scenario import Experiment, Shape, Simulator
+from cophy.scenario.rendering.frames import RenderSettings
+
+
+class States(ExperimentSet):
+    """A generated dataset, in its own directory."""
+
+    spec: DatasetSpec
+
+    def __init__(self, spec: DatasetSpec, data_dir: Path) -> None:
+        directory = spec.directory(data_dir)
+        title = f"{spec.scenario.name}, {spec.num_objects} objects"
+        super().__init__(spec, directory, title=title, command=spec.command(directory))
+
+    @property
+    def id(self) -> str:
+        return self.spec.id
+
+    @property
+    def remedy(self) -> str:
+        return "take a larger size="
+
+    def frames(self, render: RenderSettings) -> Images:
+        return Images(self, render)
+
+    def forecasts(self, settings: OracleSettings) -> OracleForecasts:
+        return OracleForecasts(self, self.spec, settings)
+
+    def unseen_by(
+        self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
+    ) -> bool:
+        return (num_experiments, data_seed) == (self.spec.size.num_experiments, self.spec.data_seed)
+
+    def fields(self, shard: int) -> Fields:
+        return experiment_fields(self.spec, len(self.spec.experiments_of_shard(shard)))
+
+    def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
+        """Search and simulate the experiments of a shard."""
+        spec, indices = self.spec, self.spec.experiments_of_shard(shard)
+        experiments: list[Experiment] = []
+        with Simulator() as simulator:
+            for first in indices[::2]:
+                pair = first // 2
+                experiments += spec.scenario.twin_pair(
+                    spec.num_objects, data_seed=spec.data_seed, pair=pair, simulator=simulator
+                )
+                advance(2)
+        path.write_bytes(encode(to_arrays(experiments, indices, spec), self.fields(shard)))
+        return {"simulations": simulator.num_simulations}
+
+    def check_arrays(self, arrays: dict[str, np.ndarray], shard: int) -> None:
+        for name, (first, end) in _ranges(self.spec).items():
+            outside = arrays[name][(arrays[name] < first) | (arrays[name] >= end)]
+            if len(outside):
+                raise DamagedShardError(f"'{name}' holds {outside[0]}, expected {first} to {end - 1}")
+        num_objects = self.spec.num_objects
+        counted = [-1] * (self.spec.scenario.num_slots - num_objects) + list(range(num_objects))
+        if (np.sort(arrays["object_index"], axis=1) != counted).any():
+            raise DamagedShardError(f"'object_index' does not count {num_objects} objects")
+        if ((arrays["shape"] > 0) != (arrays["object_index"] >= 0)).any():
+            raise DamagedShardError("'shape' is given for other slots than 'object_index'")
+
+    def write_manifest(self) -> None:
+        """Vouch for a finished set, and say what it is."""
+        super().write_manifest()
+        write_card(self.spec, self.directory, f"not run yet, `{self.command_for('audit')}`")
+
+    def description(self) -> dict[str, Any]:
+        """Configuration and names of the cells."""
+        spec = self.spec
+        return {
+            "id": spec.id,
+            "configuration": spec.generating_configuration(),
+            CELLS_ON_DISK: list(spec.scenario.cells()),
+        }
+
+
+def _ranges(spec: DatasetSpec) -> dict[str, tuple[int, int]]:
+    """First and end of what an array that points at something may hold."""
+    scenario = spec.scenario
+    return {
+        "shape": (0, max(Shape) + 1),
+        "configuration": (0, scenario.confounders.num_configurations(spec.num_objects)),
+        "do_operation": (0, len(scenario.do_operations)),
+        "do_slot": (0, scenario.num_slots),
+        "cell": (0, len(scenario.cells())),
+        "twin": (0, spec.num_experiments // 2),
+        "split": (0, len(SPLITS)),
+    }

@@ -1,0 +1,130 @@
+"""Pictures of predictions, for TensorBoard and the report."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from cophy.scenario import Camera
+
+VIEWS = {"from above": (0, 1), "from the side": (0, 2)}  # the axes shown
+MARKED = 4  # every how many frames a marker
+SMALLEST_VIEW = 2.0  # metres: what hardly moves shall not look as if it did
+
+
+def draw_trajectories(
+    initial: np.ndarray, predicted: np.ndarray, true: np.ndarray, presence: np.ndarray, *, colors: Sequence[str]
+) -> Figure:
+    """Predicted and true trajectories of a few experiments, from above and from the side, each object in its colour.
+
+    Squares are C, circles the truth, crosses the prediction (as in the paper's figure of predictions), at every fourth
+    frame and the last.
+
+    Args:
+        initial: (N, K, 3) positions in C, metres.
+        predicted: (N, T-1, K, 3) in D.
+        true: (N, T-1, K, 3) in D.
+        presence: (N, K) which slots hold an object.
+        colors: Of the slots.
+    """
+    count = len(initial)
+    figure = Figure(figsize=(3.0 * count, 6.4), layout="constrained")
+    axes = figure.subplots(len(VIEWS), count, squeeze=False)
+    for row, (view, (right, up)) in zip(axes, VIEWS.items(), strict=True):
+        for n, axis in enumerate(row):
+            everything = []
+            for slot in np.flatnonzero(presence[n]).tolist():
+                style = {"color": colors[slot], "markerfacecolor": "none"}
+                for path, marker, line in ((true[n, :, slot], "o", "-"), (predicted[n, :, slot], "x", ":")):
+                    whole = np.concatenate([initial[n, None, slot], path])[:, [right, up]]
+                    marked = [*range(MARKED, len(whole) - 1, MARKED), len(whole) - 1]
+                    axis.plot(*whole.T, line, marker=marker, markevery=marked, ms=6, lw=0.8, **style)
+                    everything.append(whole)
+                axis.plot(*initial[n, slot, [right, up]], "s", ms=9, **style)
+            low, high = np.concatenate(everything).min(axis=0), np.concatenate(everything).max(axis=0)
+            centre, half = (low + high) / 2, 0.55 * max((high - low).max(), SMALLEST_VIEW)
+            axis.set(
+                xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half), aspect="equal"
+            )
+            axis.set(xlabel="x (m)", ylabel=f"{'xyz'[up]} (m)", title=view if n == 0 else "")
+            axis.grid(alpha=0.2)
+    marks = (("s", "", "C"), ("o", "-", "true D"), ("x", ":", "predicted D"))
+    handles = [
+        Line2D([], [], color="0.3", marker=m, ls=ls, markerfacecolor="none", label=name) for m, ls, name in marks
+    ]
+    figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False)
+    return figure
+
+
+def draw_centres(
+    images: np.ndarray,
+    predicted: np.ndarray,
+    found: np.ndarray,
+    true: np.ndarray,
+    presence: np.ndarray,
+    *,
+    camera: Camera,
+) -> Figure:
+    """Frames with true (circles) and predicted (crosses) centres.
+
+    Args:
+        images: (N, R, R, 3) uint8.
+        predicted: (N, K, 3) positions, metres.
+        found: (N, K) which slots are said to hold an object.
+        true: (N, K, 3) positions, metres.
+        presence: (N, K) which slots hold an object.
+        camera: Took the images.
+    """
+    columns = min(len(images), 4)
+    rows = -(-len(images) // columns)
+    figure = Figure(figsize=(3.0 * columns, 3.0 * rows), layout="constrained")
+    for axis, image, *what in zip(
+        figure.subplots(rows, columns, squeeze=False).flat, images, true, presence, predicted, found, strict=False
+    ):
+        axis.imshow(image)
+        for position, present, marker in ((what[0], what[1], "o"), (what[2], what[3], "x")):
+            x, y = camera.project(position[present], len(image)).T - 0.5
+            axis.plot(
+                x, y, marker, color="white", markeredgecolor="black" if marker == "o" else "white", ms=7, mfc="none"
+            )
+        axis.set_axis_off()
+    return figure
+
+
+def error_over_time(predicted: np.ndarray, true: np.ndarray, presence: np.ndarray, *, dims: int) -> np.ndarray:
+    """How far predictions are off at every step: mean over present objects, then over experiments.
+
+    Args:
+        predicted: (N, T-1, K, 3) positions in D, metres.
+        true: The same in truth.
+        presence: (N, K) which slots hold an object.
+        dims: How many coordinates count.
+
+    Returns:
+        (T-1,) Euclidean distance, metres.
+    """
+    distance = np.linalg.norm((predicted - true)[..., :dims], axis=-1)
+    per_experiment = (distance * presence[:, None]).sum(axis=-1) / presence.sum(axis=-1)[:, None]
+    return np.asarray(per_experiment.mean(axis=0))
+
+
+def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: float, title: str = "") -> Figure:
+    """One line per model; the legend starts with the largest error.
+
+    Args:
+        curves: `error_over_time` of each model.
+        frame_rate_hz: Of its steps.
+        title: Of the figure.
+    """
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axis = figure.subplots()
+    for n, (name, curve) in enumerate(curves.items()):
+        dashes = "-" if n < 10 else "--"  # there are ten colours
+        axis.plot((1 + np.arange(len(curve))) / frame_rate_hz, curve, dashes, label=name, lw=1.5)
+    axis.set(xlabel="time (s)", ylabel="position error (m)", title=title, xlim=(0, None), ylim=(0, None))
+    axis.grid(alpha=0.2)
+    if len(curves) > 1:
+        lines = sorted(axis.get_lines(), key=lambda line: -float(np.asarray(line.get_ydata())[-1]))
+        figure.legend(handles=lines, loc="outside right center", frameon=False, fontsize="small")
+    return figure

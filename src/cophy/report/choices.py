@@ -1,0 +1,38 @@
+"""What the report asks about the names of runs; the command line answers (`cophy.app.report_choices`)."""
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from cophy.dataset.splits import Split
+from cophy.dataset.store.states import States
+from cophy.scenario import Scenario
+
+
+class Choices(Protocol):
+    """What the names under which a run was chosen stand for."""
+
+    def keys_of(self, names: Mapping[str, Any]) -> dict[str, Any]:
+        """The keys of the configuration that make a run of these names the run it claims to be.
+
+        Raises:
+            CophyError: The names compose no configuration.
+        """
+        ...
+
+    def scenario(self, name: str) -> Scenario:
+        """The scenario of this name."""
+        ...
+
+    def split(self, scenario: str, name: str) -> Split:
+        """A split of a scenario."""
+        ...
+
+    def dataset(self, scenario: str, num_objects: int, size: str) -> States:
+        """The generated dataset that runs use.
+
+        Args:
+            scenario: Name of their scenario.
+            num_objects: In A of every experiment.
+            size: Name of their size.
+        """
+        ...

@@ -1,0 +1,7 @@
+"""The paper's tables, as far as runs fill them.
+
+run_table: outputs/ as a table with one line per run
+paper_tables: the tables of the paper (paper_tables.yaml)
+filled_tables: a table of the paper with our numbers
+table_formats: filled tables as Markdown, LaTeX and on the terminal
+"""

@@ -1,0 +1,154 @@
+"""A table of the paper with our numbers: each cell ours, with the paper's beside it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from cophy.report.tables.paper_tables import PaperTable
+
+MISSING, FAILED = "—", "failed"
+NUMBERS = ("ours", "sd", "low", "high")
+
+
+@dataclass(frozen=True)
+class FilledTable:
+    """A paper table with our numbers.
+
+    Attributes:
+        table: The paper's.
+        values: One line per cell, in the table's own unit: row, column, ours, sd over seeds, low and high of the 95 %
+            interval, seeds, failed, paper, best; and share of the possible gain, see `shares`.
+        caption: What the cells are, and of which runs.
+    """
+
+    table: PaperTable
+    values: pd.DataFrame
+    caption: str
+
+    def cells(self, bold: tuple[str, str] = ("", "")) -> pd.DataFrame:
+        """To read: rows × columns of "ours / the paper's", the best between the two strings of `bold`."""
+        texts = pd.Series([self._text(value, bold) for value in self.values.to_dict("records")])
+        return self._wide(texts, list(self.table.rows), list(self.table.columns))
+
+    def shares(self) -> pd.DataFrame | None:
+        """The share in % of the possible gain, (oracle without AB - ours) / (oracle without AB - oracle with AB).
+
+        None where the oracles were not run, or the table has none.
+        """
+        if self.values["share"].isna().all():
+            return None
+        texts = self.values["share"].map(lambda share: MISSING if pd.isna(share) else f"{share:.0%}")
+        rows, columns = (
+            [name for name in names if name not in self.table.oracles]
+            for names in (self.table.rows, self.table.columns)
+        )
+        return self._wide(texts, rows, columns)
+
+    def _wide(self, texts: "pd.Series[str]", rows: list[str], columns: list[str]) -> pd.DataFrame:
+        """One text per line of `values`, as rows × columns."""
+        wide = self.values.assign(text=texts).pivot(index="row", columns="column", values="text")
+        wide = wide.loc[rows, columns]
+        wide.columns.name = wide.index.name = None
+        return wide
+
+    def _text(self, value: dict[Any, Any], bold: tuple[str, str]) -> str:
+        def number(x: float) -> str:
+            return f"{x:.{self.table.digits}f}"
+
+        paper = MISSING if pd.isna(value["paper"]) else number(value["paper"])
+        if not value["seeds"]:
+            return f"{FAILED if value['failed'] else MISSING} / {paper}"
+        varies = value["seeds"] > 1 and float(number(value["sd"])) > 0  # copies are the same whatever the seed
+        spread = f"± {number(value['sd'])}" if varies else f"[{number(value['low'])}, {number(value['high'])}]"
+        failed = f" ({value['failed']} failed)" if value["failed"] else ""
+        start, end = bold if value["best"] else ("", "")
+        return f"{start}{number(value['ours'])}{end} {spread}{failed} / {paper}"
+
+
+def fill(table: PaperTable, runs: pd.DataFrame) -> FilledTable:
+    """Put runs (see `read_runs`) into a table: mean over seeds, and how far it can be trusted."""
+    values, used = [], []
+    for (row, in_row), printed in zip(table.rows.items(), table.paper, strict=True):
+        for (column, in_column), paper in zip(table.columns.items(), printed, strict=True):
+            choice = {"positions": "ground_truth", **table.select, **in_row, **in_column}
+            numbers, found = _cell(runs, choice, table.scale)
+            used.append(found)
+            values.append({"row": row, "column": column, **numbers, "paper": paper})
+    frame = pd.DataFrame(values)
+    frame = frame.assign(best=_best(table, frame), share=_share(table, frame))
+    return FilledTable(table, frame, _caption(table, pd.concat(used)))
+
+
+def select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
+    """The runs of these names."""
+    if runs.empty:
+        return runs
+    chosen = pd.Series(True, index=runs.index)
+    for name, value in names.items():
+        chosen &= runs[name] == value
+    return runs[chosen]
+
+
+def _cell(runs: pd.DataFrame, choice: dict[str, str], scale: float) -> tuple[dict[str, Any], pd.DataFrame]:
+    """The numbers of a cell, and the runs that they are of."""
+    metric = choice.pop("metric")
+    found = select(runs, **choice)
+    failed = int(found["error"].notna().sum()) if len(found) else 0
+    found = found[found[metric].notna()] if metric in found else found.iloc[:0]
+    if found.empty:
+        return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": failed}, found
+    found = found[found["num_train"] == found["num_train"].max()]  # one size per cell
+    low, high = found[f"{metric}_low"].mean(), found[f"{metric}_high"].mean()
+    numbers = zip(NUMBERS, (found[metric].mean(), found[metric].std(), low, high), strict=True)
+    return {**{name: scale * value for name, value in numbers}, "seeds": len(found), "failed": failed}, found
+
+
+def _share(table: PaperTable, values: pd.DataFrame) -> "pd.Series[float]":
+    """Of what AB can add to the best that is possible without it; negative for what is worse than that."""
+    if not table.oracles:
+        return pd.Series(np.nan, index=values.index)
+    method, other = _axes(table)
+    without, with_ab = (
+        values[other].map(values[values[method] == oracle].set_index(other)["ours"]) for oracle in table.oracles
+    )
+    return (without - values["ours"]) / (without - with_ab)
+
+
+def _axes(table: PaperTable) -> tuple[str, str]:
+    """The axis of the methods, and the other."""
+    return ("row", "column") if table.methods == "rows" else ("column", "row")
+
+
+def _best(table: PaperTable, values: pd.DataFrame) -> "pd.Series[bool]":
+    """Which cells are the best of the methods they compete with."""
+    if table.methods is None:
+        return pd.Series(False, index=values.index)
+    method, other = _axes(table)
+    comparable = values["ours"].where(~values[method].isin([*table.bounds, *table.oracles]))
+    best = comparable.groupby(values[other]).transform("min" if table.lower_is_better else "max")
+    return comparable.eq(best) & comparable.notna()
+
+
+def _caption(table: PaperTable, used: pd.DataFrame) -> str:
+    better = "Lower" if table.lower_is_better else "Higher"
+    notes = [f"Each cell: ours / the paper's. {better} is better."]
+    if used.empty:
+        return " ".join([*notes, "Nothing was run yet."])
+    counts = ("num_train", "num_test", "epochs", "seed")  # floats where some run failed and has none
+    num_train, num_test, epochs, seeds = (
+        ", ".join(map(str, sorted(used[name].astype(int).unique()))) for name in counts
+    )
+    size = ", ".join(sorted(used["size"].unique()))
+    notes.append(f"Size {size}: {num_train} training and {num_test} test experiments; {epochs} epochs; seeds {seeds}.")
+    notes.append(
+        "[ ]: 95 % bootstrap interval over the twin pairs of the test split; ±: standard deviation over seeds."
+    )
+    if "gt_confounders" in used["ablation"].to_numpy():
+        notes.append(
+            "Where the true confounders are given, they include what positions hide: initial velocity, shape and orientation."
+        )
+    if "derenderer" in used and len(names := sorted(used["derenderer"].dropna().unique())):
+        notes.append(f"Positions estimated by de-renderer {' and '.join(names)} (hash of its checkpoint).")
+    return " ".join([*notes, table.note]).strip()

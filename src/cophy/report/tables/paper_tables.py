@@ -1,0 +1,68 @@
+"""The tables of the paper that runs can fill, as paper_tables.yaml describes them."""
+
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
+
+import yaml
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """A table of the paper.
+
+    Attributes:
+        id: Name of its files, and of its sweep in conf/table/.
+        title: What it shows.
+        select: Names of the runs that fill it, and the metric that is shown.
+        rows: Label -> what the row adds to `select`.
+        columns: Label -> what the column adds.
+        paper: The paper's numbers, rows × columns.
+        methods: "rows", "columns", or None where nothing competes.
+        bounds: Labels of methods that are told more than the others; they do not compete.
+        oracles: Labels of the oracles: without AB, with AB.
+        lower_is_better: Of the metric.
+        scale: From the metric's unit to the table's.
+        digits: After the point.
+        note: Goes below it.
+        also_derendered: Whether there is the same table with positions that a de-renderer estimates in testing.
+    """
+
+    id: str
+    title: str
+    select: dict[str, str]
+    rows: dict[str, dict[str, str]]
+    columns: dict[str, dict[str, str]]
+    paper: list[list[float | None]]
+    methods: str | None
+    bounds: list[str] = field(default_factory=list)
+    oracles: list[str] = field(default_factory=list)
+    lower_is_better: bool = True
+    scale: float = 1.0
+    digits: int = 3
+    note: str = ""
+    also_derendered: bool = False
+
+
+def paper_tables() -> list[PaperTable]:
+    """All tables of the paper that runs can fill."""
+    content = yaml.safe_load((files("cophy.report.tables") / "paper_tables.yaml").read_text())
+    tables = [PaperTable(**table) for table in content["tables"]]
+    return tables + [_derendered(table) for table in tables if table.also_derendered]
+
+
+def _derendered(table: PaperTable) -> PaperTable:
+    """The same methods on positions estimated from pictures; oracles see true ones only."""
+    rows, columns = (
+        {name: keys for name, keys in axis.items() if name not in table.oracles} for axis in (table.rows, table.columns)
+    )
+    return replace(
+        table,
+        id=f"{table.id}_derendered",
+        title=f"{table.title}; positions estimated from pictures in testing",
+        select={**table.select, "positions": "train_ground_truth_test_derendered"},
+        rows=rows,
+        columns=columns,
+        paper=[numbers[: len(columns)] for numbers in table.paper[: len(rows)]],  # oracles come last
+        oracles=[],
+        also_derendered=False,
+    )

@@ -1,0 +1,124 @@
+"""outputs/ as a table with one line per run, each checked to be what its name says."""
+
+import json
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from cophy.errors import CophyError
+from cophy.training.runs.results import FAILURE, METRICS
+
+log = logging.getLogger(__name__)
+
+NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "size")
+COUNTS = ("num_train", "num_test", "training_seconds", "wall_seconds")
+NOT_COMPARED = {"scenario.task.splits"}  # a split more changes no run
+
+
+def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]) -> pd.DataFrame:
+    """The runs in `outputs` that lie where train.py puts them, so that no two share their names.
+
+    A run whose configuration is not that of its names fills no table (an override on the command line beats what a row
+    says). The log names it.
+
+    Args:
+        outputs: Where train.py wrote its runs.
+        keys_of: From a run's names to the keys of the configuration that they stand for.
+
+    Returns:
+        One line each: names, directory, counts, epochs, every test metric and its interval (`_low`, `_high`). A failed
+        run has its `error` instead of results; `error` is None for the others.
+    """
+    places = [f"*/*/*/*/*/seed*/{name}" for name in (METRICS, FAILURE)]
+    lines = []
+    for path in sorted(found for place in places for found in outputs.glob(place)):
+        try:
+            line = _failure(path) if path.name == FAILURE else _finished(path)
+            changes = _misplaced(line, path.parent)
+            if line["error"] is None:
+                changes += _changes(line, path.parent, keys_of(line))
+        except (CophyError, OmegaConfBaseException) as error:
+            log.warning("%s is skipped: %s", path, " ".join(str(error).split()))
+        except (ValueError, KeyError, TypeError, OSError, YAMLError) as error:
+            log.warning("%s is skipped: %s: %s", path, type(error).__name__, " ".join(str(error).split()))
+        else:
+            if changes:
+                log.warning("%s fills no table, its configuration is its own: %s", path, ", ".join(changes))
+            else:
+                lines.append(line | {"directory": path.parent})
+    return pd.DataFrame(lines)
+
+
+def metrics_of(runs: pd.DataFrame) -> list[str]:
+    """The names of all metrics that some run has."""
+    return [column.removesuffix("_low") for column in runs.columns if column.endswith("_low")]
+
+
+def summary(runs: pd.DataFrame) -> pd.DataFrame:
+    """Every row that was run: cost, and each test metric, mean over seeds, ± standard deviation where there are several."""
+    if runs.empty:
+        return runs
+    rows = []
+    for choice, found in runs.groupby(["scenario", "split", "model", "ablation", "positions", "size"]):
+        line = {"run": " ".join(str(name) for name in choice), "seeds": _seeds(found)}
+        if "training_seconds" in found and found["training_seconds"].notna().any():
+            line["training (s)"] = f"{found['training_seconds'].mean():.0f}"
+        line |= {metric.replace("_", " "): _show(found[metric].dropna()) for metric in metrics_of(found)}
+        rows.append(line)
+    return pd.DataFrame(rows).fillna("—")
+
+
+def _seeds(found: pd.DataFrame) -> str:
+    failed = int(found["error"].notna().sum())
+    return f"{len(found) - failed}" + (f" ({failed} failed)" if failed else "")
+
+
+def _show(values: "pd.Series[float]") -> str:
+    if values.empty:
+        return "—"
+    return f"{values.mean():.3f}" if len(values) == 1 else f"{values.mean():.3f} ± {values.std():.3f}"
+
+
+def _finished(path: Path) -> dict[str, Any]:
+    content = json.loads(path.read_bytes())
+    line = {name: content[name] for name in (*NAMES, *COUNTS, "dataset_ids")} | {"error": None}
+    line["derenderer"] = content.get("derenderer")  # None where true positions were seen
+    for name, value in content["metrics"].items():
+        low, high = content["intervals"][name]
+        line |= {name: float(value), f"{name}_low": float(low), f"{name}_high": float(high)}
+    return line
+
+
+def _failure(path: Path) -> dict[str, Any]:
+    content = json.loads(path.read_bytes())
+    return {name: content[name] for name in (*NAMES, "error")}
+
+
+def _misplaced(line: dict[str, Any], directory: Path) -> list[str]:
+    names = [str(line[name]) for name in NAMES[:5]] + [f"seed{line['seed']}"]
+    return [] if list(directory.parts[-6:]) == names else [f"it says it is {'/'.join(names)}"]
+
+
+def _changes(line: dict[str, Any], directory: Path, expected: dict[str, Any]) -> list[str]:
+    """Keys of the run's own configuration that are not what its names stand for; notes its epochs in the line."""
+    own = OmegaConf.load(directory / ".hydra" / "config.yaml")
+    line["epochs"] = int(own.trainer.max_epochs)
+    return [found for key, value in expected.items() for found in _differences(key, _plain(own, key), value)]
+
+
+def _plain(config: Any, key: str) -> Any:
+    node = OmegaConf.select(config, key)
+    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+
+
+def _differences(key: str, own: Any, expected: Any) -> list[str]:
+    if isinstance(own, dict) and isinstance(expected, dict):
+        inside = sorted(own.keys() | expected.keys())
+        return [found for name in inside for found in _differences(f"{key}.{name}", own.get(name), expected.get(name))]
+    return [] if own == expected or key in NOT_COMPARED else [f"{key}={own}"]

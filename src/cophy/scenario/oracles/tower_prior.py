@@ -1,0 +1,71 @@
+"""How likely masses and gravity are in the data for a tower A and C (all frictions are as likely): the conditional distribution of
+the search, its cells and twins included.
+
+The search draws a cell and both twins' configurations first, and then geometries until one fits. So a geometry that fits many
+pairs of configurations comes from each of them with the pair's own probability, over the share of all geometries that fit it.
+"""
+
+import numpy as np
+
+from cophy.scenario.blocktower import Blocktower
+from cophy.scenario.search.towers import TOWER_CELLS, TowerCell, Towers, agreement
+
+MIN_PROPOSALS = 20_000  # open geometries that the shares are estimated from
+
+_known: dict[tuple[str, str, int], "TowerPrior"] = {}
+
+
+def tower_prior(scenario: Blocktower, kind: str, num_levels: int) -> "TowerPrior":
+    """The prior, made once for each kind of do-operation and number of blocks (a few seconds).
+
+    Args:
+        scenario: whose data are meant.
+        kind: of do-operation.
+        num_levels: blocks in A.
+    """
+    key = (repr(scenario), kind, num_levels)
+    if key not in _known:
+        _known[key] = TowerPrior(scenario, kind, num_levels)
+    return _known[key]
+
+
+class TowerPrior:
+    """P(masses, gravity | A, C) for one kind of do-operation and number of blocks."""
+
+    def __init__(self, scenario: Blocktower, kind: str, num_levels: int) -> None:
+        self._search = scenario.tower_search
+        self._combinations = self._search.statics.combinations(num_levels)
+        rng = np.random.default_rng((num_levels, scenario.do_operations.index(kind)))
+        batches, count = [], 0
+        while count < MIN_PROPOSALS:
+            found = self._search.proposals(kind, num_levels, rng)
+            batches.append(self._fits(found.towers))
+            count += len(found.level)
+        first, second = (np.concatenate([batch[twin] for batch in batches]) for twin in (0, 1))
+        # (cell, combination of the first twin, of the second): how many geometries fit
+        fitting = np.einsum("gci,gcj->cij", first, second, optimize=True)
+        partners = np.maximum((fitting > 0).sum(axis=2, keepdims=True), 1)
+        self._pairs = 1 / (partners * np.maximum(fitting, 1))
+
+    def __call__(self, towers: tuple[Towers, Towers]) -> np.ndarray:
+        """(geometry, combination) probabilities, for towers A and C."""
+        first, second = self._fits(towers)
+        as_first = first * np.einsum("cij,gcj->gci", self._pairs, second)
+        as_second = second * np.einsum("cij,gci->gcj", self._pairs, first)
+        total = (as_first + as_second).sum(axis=1)
+        return np.asarray(total / total.sum(axis=1, keepdims=True))
+
+    def _fits(self, towers: tuple[Towers, Towers]) -> tuple[np.ndarray, np.ndarray]:
+        """Under which combinations each geometry fits each cell, (geometry, cell, combination): as first, and as second twin."""
+        statics = self._search.statics
+        margins = np.stack([statics.margins(*tower, self._combinations) for tower in towers], axis=1)
+        stands, falls = margins >= self._search.min_margin, margins <= -self._search.min_margin
+
+        def fits(cell: TowerCell) -> np.ndarray:
+            observed, counterfactual = ((stands if outcome else falls)[:, s] for s, outcome in enumerate(cell))
+            agrees = agreement(margins > 0, cell) >= statics.min_agreement
+            return np.asarray(observed & counterfactual & agrees[:, None])
+
+        first = [fits(cell) for cell in TOWER_CELLS]
+        second = [fits(cell.opposite) for cell in TOWER_CELLS]
+        return np.stack(first, axis=1).astype(np.float32), np.stack(second, axis=1).astype(np.float32)

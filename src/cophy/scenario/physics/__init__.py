@@ -1,0 +1,9 @@
+"""Rigid bodies: what is simulated, how, and what theory says of it.
+
+scene: bodies, scenes and trajectories.
+simulation_settings: the solver's settings, and the clock of a sequence.
+simulator: from a scene to a trajectory, with PyBullet.
+surroundings: the floor and walls.
+statics: whether a tower stands, on paper.
+energy: the mechanical energy of a trajectory.
+"""

@@ -1,0 +1,7 @@
+"""From states to pictures.
+
+camera: where in the picture a point appears.
+renderer: draws sequences with PyBullet.
+frames: the pictures of a sequence, and the settings that ask for them.
+textures: procedural floors and backdrops.
+"""

@@ -1,0 +1,164 @@
+"""The search for towers: statics on paper tells in microseconds which geometries are worth a simulation.
+
+Friction only matters for how a tower falls, so masses and gravity decide whether A and C stand. The search looks for geometries
+whose outcomes are open, and lets the two prescribed configurations fill their cells.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from cophy.scenario.confounders import Confounders
+from cophy.scenario.do_operations import Displace, DoOperation, Remove
+from cophy.scenario.physics.scene import Scene
+from cophy.scenario.physics.statics import Combinations, TowerStatics
+from cophy.scenario.search.towers import TowerCell, Towers, agreement
+
+# how hard the search tries; other values find other experiments, so raise dataset.spec.FORMAT_VERSION with them
+NUM_TOWERS_PER_BATCH = 1024
+NUM_VARIANTS_PER_TOWER = 48
+MAX_BATCHES_PER_CONFIGURATION = 40
+
+OBSERVED, COUNTERFACTUAL = 0, 1  # sequences
+Wanted = Callable[[Towers, int], np.ndarray]  # (towers, the sequence they are for) -> (tower,) bool
+
+
+class Proposals(NamedTuple):
+    """Candidate towers.
+
+    towers: A and C. stands: (proposal, 2, combination) bool, of A and C under every combination of masses and gravity.
+    level: (proposal,) of the block that the do-operation concerns. offset: (proposal, 2) by how much it is displaced, metres.
+    """
+
+    towers: tuple[Towers, Towers]
+    stands: np.ndarray
+    level: np.ndarray
+    offset: np.ndarray
+
+
+DISPLACEMENT_AXES = {"displace_x": (1.0, 0.0), "displace_y": (0.0, 1.0)}  # kind of do-operation -> direction (x, y)
+
+
+@dataclass(frozen=True)
+class TowerSearch:
+    """Finds towers A and do-operations; the fields are those of `Blocktower`."""
+
+    statics: TowerStatics
+    max_level_offset: float
+    displacement: list[float]
+    min_margin: float
+    stable_fraction: list[float]
+
+    def candidates(
+        self,
+        twins: tuple[Confounders, Confounders],
+        cell: TowerCell,
+        kind: str,
+        slots: tuple[int, ...],
+        rng: np.random.Generator,
+    ) -> Iterator[tuple[Scene, DoOperation]]:
+        """Scenes and do-operations that by statics fill the cell for the first twin and the opposite cell for the second.
+
+        Args:
+            twins: confounders of the first and of the second twin.
+            cell: of the first twin.
+            kind: of do-operation.
+            slots: of the blocks of A, from the ground up.
+            rng: what is drawn comes from it.
+        """
+        if not _separable(*twins, num_levels=len(slots) - (kind == "remove_top")):
+            return
+        gravity_xy = np.array([confounders.gravity_xy for confounders in twins])
+        loads = Combinations(np.array([c.mass for c in twins]), gravity_xy / -self.statics.gravity_z)
+
+        def fills_cells(towers: Towers, sequence: int) -> np.ndarray:
+            signs = np.where([cell[sequence], cell.opposite[sequence]], 1.0, -1.0)
+            return np.asarray((self.statics.margins(*towers, loads) * signs >= self.min_margin).all(axis=1))
+
+        for _ in range(MAX_BATCHES_PER_CONFIGURATION):
+            found = self.proposals(kind, len(slots), rng, fills_cells)
+            for index in np.flatnonzero(agreement(found.stands, cell) >= self.statics.min_agreement).tolist():
+                scene = self.scene(found.towers[OBSERVED], index, slots)
+                x, y = found.offset[index].tolist()
+                slot = slots[found.level[index]]
+                yield scene, Remove(kind, slot) if kind == "remove_top" else Displace(kind, slot, (x, y, 0.0))
+
+    def proposals(
+        self, kind: str, num_levels: int, rng: np.random.Generator, wanted: Wanted = lambda towers, _: _every(towers)
+    ) -> Proposals:
+        """A batch of random towers A and do-operations whose outcomes are open.
+
+        The cheaper of A and C is drawn, and many variants of each are tried as the other one. Where the top is removed, that is C
+        and a block on top of it makes A. Otherwise it is A, and C has one of its blocks displaced.
+
+        Args:
+            kind: of do-operation.
+            num_levels: of A.
+            rng: what is drawn comes from it.
+            wanted: only towers that it wants are proposed.
+        """
+        order = (COUNTERFACTUAL, OBSERVED) if kind == "remove_top" else (OBSERVED, COUNTERFACTUAL)
+        drawn = self.random_towers(num_levels - (kind == "remove_top"), rng)
+        kept, drawn_stands = self._open(drawn, wanted(drawn, order[0]), num_levels)
+        drawn = drawn.take(kept)
+        source = np.repeat(np.arange(len(kept)), NUM_VARIANTS_PER_TOWER)
+        varied, level, offset = self._variants(drawn.take(source), kind, rng)
+        kept, varied_stands = self._open(varied, wanted(varied, order[1]), num_levels)
+        towers = drawn.take(source[kept]), varied.take(kept)
+        stands = drawn_stands[source[kept]], varied_stands
+        a, c = order.index(OBSERVED), order.index(COUNTERFACTUAL)
+        return Proposals((towers[a], towers[c]), np.stack([stands[a], stands[c]], axis=1), level[kept], offset[kept])
+
+    def random_towers(self, num_levels: int, rng: np.random.Generator) -> Towers:
+        """A batch of random towers, whether they stand or fall."""
+        offset = self._level_offsets((NUM_TOWERS_PER_BATCH, num_levels), rng)
+        offset[:, 0] = 0.0
+        return Towers(np.cumsum(offset, axis=1), rng.uniform(0.0, np.pi / 2, (NUM_TOWERS_PER_BATCH, num_levels)))
+
+    def scene(self, towers: Towers, index: int, slots: tuple[int, ...]) -> Scene:
+        """One of the towers as a scene, confounders not set.
+
+        Args:
+            towers: geometries.
+            index: which of them.
+            slots: of its blocks, from the ground up.
+        """
+        return towers.scene(index, slots, block_size=self.statics.block_size, gravity_z=self.statics.gravity_z)
+
+    def _variants(self, towers: Towers, kind: str, rng: np.random.Generator) -> tuple[Towers, np.ndarray, np.ndarray]:
+        """A random change of each tower, made in place or on top: the towers, the level (tower,) and its offset (tower, 2), metres."""
+        count, num_levels = len(towers.xy), towers.xy.shape[1]
+        if kind == "remove_top":
+            offset = self._level_offsets((count,), rng)
+            yaw = rng.uniform(0.0, np.pi / 2, count)
+            return towers.with_top(towers.xy[:, -1] + offset, yaw), np.full(count, num_levels), offset
+        distance = rng.uniform(self.displacement[0], self.displacement[1], count) * rng.choice([-1.0, 1.0], count)
+        offset = distance[:, None] * np.array(DISPLACEMENT_AXES[kind])
+        level = rng.integers(num_levels, size=count)
+        towers.xy[np.arange(count), level] += offset
+        return towers, level, offset
+
+    def _level_offsets(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+        return rng.uniform(-self.max_level_offset, self.max_level_offset, (*shape, 2))
+
+    def _open(self, towers: Towers, wanted: np.ndarray, num_levels: int) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the wanted towers stand under some combinations and fall under others: indices, and (tower, combination) bool."""
+        index = np.flatnonzero(wanted)
+        stands = self.statics.margins(*towers.take(index), self.statics.combinations(num_levels)) > 0
+        smallest, largest = self.stable_fraction
+        share = stands.mean(axis=1)
+        is_open = (share >= smallest) & (share <= largest)
+        return index[is_open], stands[is_open]
+
+
+def _every(towers: Towers) -> np.ndarray:
+    return np.ones(len(towers.xy), dtype=bool)
+
+
+def _separable(first: Confounders, second: Confounders, *, num_levels: int) -> bool:
+    """Whether some tower stands under one and falls under the other: gravity differs, or the upper blocks' mass ratios."""
+    upper = [np.array(confounders.mass[1:num_levels]) for confounders in (first, second)]
+    ratios = [mass / mass[0] for mass in upper]
+    return first.gravity_xy != second.gravity_xy or not np.allclose(*ratios)

@@ -1,0 +1,141 @@
+"""Stage 2: train and test a predictor of D."""
+
+from dataclasses import replace
+
+import lightning as L
+import numpy as np
+import torch
+from jaxtyping import Float
+from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
+from torch import Tensor, nn
+from torchmetrics import MetricCollection
+
+from cophy.errors import CophyError
+from cophy.scenario import Scenario
+from cophy.training.augmentation import augment
+from cophy.training.losses import confounder_loss, position_loss, stability_loss
+from cophy.training.metrics import collection, position_measures, stability_measures
+from cophy.training.model_contract import NOT_FINITE, check_shapes, estimate_dim
+from cophy.training.optimisation import adam_with_cosine
+from cophy.training.settings import Training
+from cophy.types import Batch, Prediction, map_tensors
+
+
+class PredictionModule(L.LightningModule):
+    """Any network from `Inputs` to `Prediction`, under the paper's losses and metrics.
+
+    Attributes:
+        tested: After a test, on the CPU: the predictions and what they were made for.
+    """
+
+    tested: tuple[Prediction, Batch]
+    symmetries: Float[Tensor, "symmetry 2 2"]
+    missed_position: Float[Tensor, "3"]
+
+    def __init__(
+        self,
+        network: nn.Module,
+        training: Training,
+        scenario: Scenario,
+        *,
+        symmetries: np.ndarray,
+        missed_position: Float[Tensor, "3"],
+    ) -> None:
+        """Wrap a network.
+
+        Args:
+            network: From `Inputs` to `Prediction`.
+            training: Weights of the losses, and the learning rate.
+            scenario: How predictions are judged, and the values of confounders.
+            symmetries: (symmetry, 2, 2) matrices, by which training experiments are turned at random.
+            missed_position: Where an object is predicted that the de-renderer missed in C, metres.
+        """
+        super().__init__()
+        self.network, self.training_settings = network, training
+        self.register_buffer("missed_position", missed_position, persistent=False)
+        self.register_buffer("symmetries", torch.from_numpy(symmetries).float(), persistent=False)
+        self.confounder_heads = _confounder_heads(network, scenario) if training.confounder_weight else None
+        measures = {"position": position_measures(scenario.task), "stability": stability_measures()}
+        self.metrics = nn.ModuleDict(
+            {f"in_{s}_{kind}": collection(m, f"{s}/") for s in ("train", "val") for kind, m in measures.items()}
+        )
+
+    def forward(self, batch: Batch) -> Prediction:
+        """Predict D; only `batch.inputs` reaches the network."""
+        prediction = self.network(batch.inputs)
+        check_shapes(prediction, batch.targets, self.network)
+        missed = (batch.targets.presence & ~batch.inputs.presence)[:, None, :, None]
+        return replace(prediction, position=torch.where(missed, self.missed_position, prediction.position))
+
+    def training_step(self, batch: Batch) -> Tensor:
+        with torch.autocast(self.device.type, enabled=False):  # positions keep their precision in mixed training
+            batch = augment(batch, self.symmetries)
+        prediction = self(batch)
+        self._measure("train", prediction, batch)
+        return self._loss("train", prediction, batch)
+
+    def validation_step(self, batch: Batch) -> STEP_OUTPUT:
+        prediction = self(batch)
+        loss = self._loss("val", prediction, batch)
+        if not torch.isfinite(loss):
+            raise CophyError(f"{type(self.network).__name__} {NOT_FINITE}")
+        self._measure("val", prediction, batch)
+        return loss
+
+    def on_test_epoch_start(self) -> None:
+        self._test_steps: list[tuple[Prediction, Batch]] = []
+
+    def test_step(self, batch: Batch) -> None:
+        self._test_steps.append((map_tensors(_kept, self(batch)), map_tensors(_kept, batch)))
+
+    def on_test_epoch_end(self) -> None:
+        predictions, batches = zip(*self._test_steps, strict=True)
+        self.tested = (
+            map_tensors(lambda *parts: torch.cat(parts), *predictions),
+            map_tensors(lambda *parts: torch.cat(parts), *batches),
+        )
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        return adam_with_cosine(self, self.training_settings.learning_rate)
+
+    def _loss(self, split: str, prediction: Prediction, batch: Batch) -> Float[Tensor, ""]:
+        """The weighted sum of the terms (paper Sec. 4.2, Training); each is logged."""
+        settings, targets = self.training_settings, batch.targets
+        terms = {"position_loss": (settings.position_weight, position_loss(prediction, targets))}
+        if prediction.stable_logit is not None:
+            terms["stability_loss"] = settings.stability_weight, stability_loss(prediction.stable_logit, targets)
+        if self.confounder_heads is not None:
+            logits = [head(prediction.confounder_estimate) for head in self.confounder_heads]
+            terms["confounder_loss"] = settings.confounder_weight, confounder_loss(logits, targets)
+        loss = torch.stack([weight * value for weight, value in terms.values()]).sum()
+        values = {f"{split}/{name}": value for name, (_, value) in terms.items()} | {f"{split}/loss": loss}
+        self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch))
+        return loss
+
+    def _measure(self, split: str, prediction: Prediction, batch: Batch) -> None:
+        kinds = ["position"] if prediction.stable_logit is None else ["position", "stability"]
+        for kind in kinds:
+            metrics = self.metrics[f"in_{split}_{kind}"]
+            assert isinstance(metrics, MetricCollection)
+            with torch.no_grad():
+                metrics.update(prediction, batch.targets)
+            for name, metric in metrics.items(keep_base=False):
+                self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
+
+
+def _kept(tensor: Tensor) -> Tensor:
+    """On the CPU, and at least in single precision: NumPy knows no bfloat16."""
+    reduced = tensor.dtype in (torch.bfloat16, torch.float16)
+    return tensor.float().cpu() if reduced else tensor.cpu()
+
+
+def _confounder_heads(network: nn.Module, scenario: Scenario) -> nn.ModuleList:
+    """A linear classifier of mass and one of friction on every object's U (paper, appendix)."""
+    width = estimate_dim(network)
+    if not width:
+        raise CophyError(
+            "training.confounder_weight (ablation=supervised_confounders) needs a model that estimates confounders from AB, "
+            "with an attribute estimate_dim"
+        )
+    grid = scenario.confounders
+    return nn.ModuleList(nn.Linear(width, len(values)) for values in (grid.mass, grid.friction))

@@ -1,0 +1,69 @@
+"""The run of an oracle: how far a predictor can get, by the forecasts of the simulator (docs/oracles.md)."""
+
+import time
+from dataclasses import asdict
+
+import numpy as np
+import torch
+
+from cophy.dataset import generation
+from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.dataset.store.forecasts import OracleSettings
+from cophy.training.runs.evaluation import evaluate
+from cophy.training.runs.identity import Run
+from cophy.training.runs.results import Measured, write_metrics, write_predictions
+from cophy.training.runs.trainer import tensorboard
+from cophy.types import Prediction
+
+MIN_PROBABILITY = 1e-6  # of being stable, and of not, so that its logit is finite
+
+
+def carry_out_oracle(
+    run: Run, data: CounterfactualDataModule, oracle: str, settings: OracleSettings, *, started: float
+) -> dict[str, float]:
+    """Test what an oracle forecasts; nothing is trained.
+
+    Args:
+        run: Its names and place.
+        data: Set up; true positions.
+        oracle: "feedforward": the mean of D over what could be, given A, C and the do-operation. No predictor without
+            AB beats it in expectation, up to the sampling error of its draws. "counterfactual": given AB too.
+        settings: How many draws of confounders, and how far AB may be off.
+        started: `time.monotonic()` when the run began.
+
+    Returns:
+        The mean of every measure on the test split.
+    """
+    prediction, targets = forecast(data, oracle, settings), data.test.batch.targets
+    measured = Measured(evaluate(prediction, targets, data.scenario), data.test_pairs)
+    write_predictions(run.directory, prediction, targets)
+    about = {
+        "dataset_ids": data.dataset_ids,
+        "derenderer": None,
+        "num_train": len(data.train),
+        "num_test": len(data.test),
+        "training_seconds": 0.0,
+        "wall_seconds": round(time.monotonic() - started, 1),
+    }
+    metrics = write_metrics(run, measured, about)
+    logger = tensorboard(run)
+    logger.log_hyperparams(run.names() | {f"model.{key}": value for key, value in asdict(settings).items()})
+    logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, step=0)
+    logger.save()
+    return metrics
+
+
+def forecast(data: CounterfactualDataModule, oracle: str, settings: OracleSettings) -> Prediction:
+    """What an oracle says of every test experiment; forecasts that are missing are simulated first.
+
+    Args:
+        data: Set up.
+        oracle: "feedforward" or "counterfactual".
+        settings: How many draws of confounders, and how far AB may be off.
+    """
+    forecasts = data.test_set.forecasts(settings)
+    generation.ensure(forecasts, workers=data.workers)
+    stored = forecasts.load()
+    chosen = np.searchsorted(stored["experiment"], data.test_experiments)
+    position, stable = (torch.from_numpy(stored[f"{oracle}_{what}"][chosen]) for what in ("position", "stable"))
+    return Prediction(position, torch.logit(stable, eps=MIN_PROBABILITY))

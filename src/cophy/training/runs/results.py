@@ -1,0 +1,99 @@
+"""The files that a run leaves: metrics.json and predictions.npz, or failure.json."""
+
+import io
+import json
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from cophy.atomic_files import write_atomically
+from cophy.bootstrap import interval, mean
+from cophy.errors import CophyError
+from cophy.training.runs.identity import Run
+from cophy.types import Prediction, Targets
+
+log = logging.getLogger(__name__)
+
+METRICS, PREDICTIONS, FAILURE = "metrics.json", "predictions.npz", "failure.json"
+SAID = ("mse", "final_position_error", "sequence_stability_accuracy", "probe_accuracy")  # in the log
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a test measured.
+
+    Attributes:
+        values: Each measure, one value per test item.
+        pairs: (item,) the twin pair that it is of.
+    """
+
+    values: dict[str, np.ndarray]
+    pairs: np.ndarray
+
+
+def forget_results(run: Run) -> None:
+    """Remove those of an earlier run: a stopped one must not pass for the one before it."""
+    for name in (METRICS, PREDICTIONS, FAILURE):
+        (run.directory / name).unlink(missing_ok=True)
+
+
+def write_metrics(run: Run, measured: Measured, about: dict[str, Any]) -> dict[str, float]:
+    """Write metrics.json, once and whole.
+
+    Args:
+        run: Whose names it starts with.
+        measured: Its means and 95 % intervals are written.
+        about: What else is known about the run: datasets, counts, seconds.
+
+    Returns:
+        The mean of every measure.
+    """
+    metrics = {name: mean(value) for name, value in measured.values.items()}
+    intervals = {name: interval(value, measured.pairs) for name, value in measured.values.items()}
+    _write_json(run.directory / METRICS, {**run.names(), **about, "metrics": metrics, "intervals": intervals})
+    said = "  ".join(f"{name} {metrics[name]:.4f}" for name in SAID if name in metrics)
+    log.info("%s: %s", run.directory / METRICS, said)
+    return metrics
+
+
+def write_failure(run: Run, error: BaseException) -> None:
+    """Leave a note that the run failed, so that the report can say so."""
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    _write_json(run.directory / FAILURE, {**run.names(), "error": what})
+
+
+def write_predictions(directory: Path, prediction: Prediction, targets: Targets) -> None:
+    """Keep what was predicted on the test split beside the truth, for figures and paired comparisons.
+
+    Args:
+        directory: Of the run.
+        prediction: What was predicted.
+        targets: The truth.
+    """
+    arrays = {
+        "initial": targets.initial.numpy(),
+        "presence": targets.presence.numpy(),
+        "target": targets.position.numpy(),
+        "position": prediction.position.numpy(),
+    }
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    write_atomically(directory / PREDICTIONS, file.getvalue())
+
+
+def read_predictions(directory: Path) -> dict[str, np.ndarray]:
+    """What a run predicted on its test split, beside the truth; a damaged file is an error that names it."""
+    path = directory / PREDICTIONS
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: file[name] for name in ("initial", "presence", "target", "position")}
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise CophyError(f"{path} is missing or damaged ({error}): run that row again") from error
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    write_atomically(path, (json.dumps(content, indent=2) + "\n").encode())

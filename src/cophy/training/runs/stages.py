@@ -1,0 +1,94 @@
+"""What a run trains and tests: a de-renderer (images -> positions) or a predictor (positions of AB, and C -> D)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import lightning as L
+from torch import nn
+
+from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.dataset.feed.frame_datamodule import FrameDataModule
+from cophy.models.derenderer import Derenderer
+from cophy.training.augmentation import symmetries_for
+from cophy.training.callbacks import NUM_SHOWN, DerenderingFigures, PredictionFigures
+from cophy.training.derendering_module import DerenderingModule
+from cophy.training.prediction_module import PredictionModule
+from cophy.training.runs.evaluation import evaluate
+from cophy.training.runs.identity import Run
+from cophy.training.runs.probe import Probed, estimate, probe
+from cophy.training.runs.results import Measured, write_predictions
+from cophy.training.settings import Training
+from cophy.types import rows
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Data and module of a run.
+
+    Attributes:
+        data: Datamodule, set up.
+        module: What is trained and tested.
+        figures: Callback that draws validation examples.
+        measure: After a test: writes what was predicted, and measures it.
+        derenderer: Name of the one whose estimates are seen, or None.
+    """
+
+    data: CounterfactualDataModule | FrameDataModule
+    module: PredictionModule | DerenderingModule
+    figures: L.Callback
+    measure: Callable[[], Measured]
+    derenderer: str | None = None
+
+    @property
+    def learns(self) -> bool:
+        """Whether there is anything to train."""
+        return any(parameter.requires_grad for parameter in self.module.network.parameters())
+
+
+def derendering_stage(
+    network: Derenderer, data: FrameDataModule, training: Training, *, figures_every_n_epochs: int
+) -> Stage:
+    """Train a de-renderer on single frames (paper, appendix).
+
+    Args:
+        network: Learns positions in units of their spread over the training frames, which is set here.
+        data: Set up.
+        training: How it is optimised.
+        figures_every_n_epochs: How often figures are drawn.
+    """
+    network.scale_(*data.train.position_statistics())
+    module = DerenderingModule(network, training)
+    figures = DerenderingFigures(data.val, data.scenario, figures_every_n_epochs)
+    return Stage(data, module, figures, lambda: Measured(module.tested, data.test.pairs))
+
+
+def prediction_stage(
+    network: nn.Module, data: CounterfactualDataModule, training: Training, run: Run, *, figures_every_n_epochs: int
+) -> Stage:
+    """Train a predictor of D (paper Sec. 4).
+
+    Args:
+        network: From `Inputs` to `Prediction`.
+        data: Set up.
+        training: How it is optimised.
+        run: In whose directory the predictions go.
+        figures_every_n_epochs: How often figures are drawn.
+    """
+    scenario = data.scenario
+    turns = symmetries_for(data.split.train, scenario)
+    symmetries = turns if training.augmentation else turns[:1]
+    module = PredictionModule(network, training, scenario, symmetries=symmetries, missed_position=data.mean_position)
+
+    def measure() -> Measured:
+        prediction, batch = module.tested
+        values = evaluate(prediction, batch.targets, scenario)
+        if prediction.confounder_estimate is not None and data.knows_confounders and not data.estimated:
+            train = data.train.batch
+            fitted = estimate(network, train.inputs, batch_size=training.batch_size)
+            assert fitted is not None
+            values |= probe(Probed(fitted, train.targets), Probed(prediction.confounder_estimate, batch.targets))
+        write_predictions(run.directory, prediction, batch.targets)
+        return Measured(values, data.test_pairs)
+
+    figures = PredictionFigures(rows(data.val.batch, slice(NUM_SHOWN)), scenario, figures_every_n_epochs)
+    return Stage(data, module, figures, measure, data.derenderer.name if data.derenderer else None)

@@ -1,0 +1,42 @@
+"""Lightning's Trainer as every run uses it: TensorBoard, the best and the last checkpoint, figures."""
+
+import warnings
+from typing import Any
+
+import lightning as L
+from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from cophy.training.callbacks import ResumeHint, SaveOrigin
+from cophy.training.runs.identity import Run
+from cophy.training.trained.checkpoints import Origin
+
+# the whole data set lies in memory and is sliced: Lightning's advice to add workers does not apply
+warnings.filterwarnings("ignore", ".*does not have many workers.*")
+warnings.filterwarnings("ignore", ".*LeafSpec.*")  # of Lightning 2.6 with torch 2.13, nothing a user can do
+
+
+def tensorboard(run: Run) -> TensorBoardLogger:
+    """Curves, figures and final metrics go to <directory>/tensorboard."""
+    return TensorBoardLogger(run.directory, name="tensorboard", version="", default_hp_metric=False)
+
+
+def make_trainer(run: Run, origin: Origin, figures: L.Callback, arguments: dict[str, Any]) -> L.Trainer:
+    """A Trainer that keeps the checkpoint with the smallest validation MSE, and the last one.
+
+    Args:
+        run: Says where everything goes.
+        origin: Goes into every checkpoint.
+        figures: Draws while it trains.
+        arguments: Of `lightning.Trainer` (conf/trainer/).
+    """
+    callbacks = [
+        ModelCheckpoint(run.checkpoints, filename="best", monitor="val/mse", enable_version_counter=False),
+        # apart from the best: with save_last=True Lightning 2.6 writes the last one only when it is the best
+        ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False),
+        SaveOrigin(origin),
+        LearningRateMonitor("epoch"),
+        figures,
+        ResumeHint(run.checkpoints / "last.ckpt"),
+    ]
+    return L.Trainer(logger=tensorboard(run), callbacks=callbacks, default_root_dir=run.directory, **arguments)

@@ -1,0 +1,83 @@
+"""Checkpoints of train.py: what they say of themselves, read without running code from them."""
+
+import io
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from cophy.errors import CophyError
+
+ORIGIN = "origin"  # the key under which a checkpoint says what it is
+OF_NETWORK = "network."  # how the names of the network's weights start
+ERRORS = (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, AttributeError, IndexError, EOFError, ValueError)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a checkpoint was trained as: parts of the run's configuration, as plain values.
+
+    Attributes:
+        model: Class (`_target_`) and arguments of the network.
+        training: How it was optimised, see `cophy.training.settings`.
+        scenario: Keys of the scenario.
+        split: Keys of the split.
+        size: Keys of the size.
+        data_seed: Of the dataset.
+        positions: Which positions it saw: true ones, or those that a de-renderer estimates.
+        num_objects: Of the images of a de-renderer; None for those that the split names.
+        render: Of these images.
+        trained_on: What the training batches were a function of, as the datamodule says.
+    """
+
+    model: dict[str, Any]
+    training: dict[str, Any]
+    scenario: dict[str, Any]
+    split: dict[str, Any]
+    size: dict[str, Any]
+    data_seed: int
+    positions: str
+    num_objects: list[int] | None
+    render: dict[str, Any]
+    trained_on: list[Any]
+
+    def __post_init__(self) -> None:
+        for part in (self.model, self.training, self.scenario, self.split, self.size, self.render):
+            if not isinstance(part, dict):
+                raise TypeError(f"{part} is no dictionary")
+        self.model["_target_"], self.scenario["name"], self.split["name"]
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What is read of a checkpoint: its origin, and the weights of the network alone."""
+
+    origin: Origin
+    weights: dict[str, Tensor]
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a checkpoint's file."""
+    if not path.is_file():
+        raise CophyError(
+            f"{path} is no file: give a checkpoint of train.py, for example outputs/.../checkpoints/best.ckpt"
+        )
+    return path.read_bytes()
+
+
+def read_checkpoint(content: bytes, source: Path) -> Checkpoint:
+    """What train.py saved.
+
+    Raises:
+        CophyError: It is something else; the message names `source`.
+    """
+    try:
+        saved = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        origin, weights = Origin(**saved[ORIGIN]), dict(saved["state_dict"])
+    except ERRORS as error:
+        raise CophyError(f"{source} is no checkpoint of train.py, or a damaged one") from error
+    of_network = {key: value for key, value in weights.items() if key.startswith(OF_NETWORK)}
+    return Checkpoint(origin, {key.removeprefix(OF_NETWORK): value for key, value in of_network.items()})

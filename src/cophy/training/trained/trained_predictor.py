@@ -1,0 +1,49 @@
+"""Trained predictors: the network of a checkpoint, and the scenario that it was trained on."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from cophy.errors import CophyError
+from cophy.scenario import Scenario
+from cophy.training.trained.checkpoints import read_bytes, read_checkpoint
+from cophy.training.trained.network import build_network
+from cophy.training.trained.trained_derenderer import TARGET as DERENDERER
+
+ALLOWED = "cophy.models."  # whose classes a checkpoint may name: importing any other module would run its code
+
+
+class TrainedPredictor:
+    """The network of a checkpoint, in evaluation mode, and the scenario that it was trained on.
+
+    Args:
+        source: The checkpoint.
+        scenarios: The classes of scenarios by name.
+    """
+
+    def __init__(self, source: Path, scenarios: Mapping[str, type[Scenario]]) -> None:
+        checkpoint = read_checkpoint(read_bytes(source), source)
+        model = checkpoint.origin.model
+        target = str(model["_target_"])
+        if not target.startswith(ALLOWED) or target == DERENDERER:
+            raise CophyError(
+                f"predictor={source} is a checkpoint of {target}: only predictors of cophy.models are loaded"
+            )
+        if model.get("confounders") == "ground_truth":
+            raise CophyError(f"predictor={source} wants the true confounders, which no picture shows")
+        self.scenario = _scenario(checkpoint.origin.scenario, scenarios, source)
+        self.network = build_network(model).eval()
+        try:
+            self.network.load_state_dict(checkpoint.weights)
+        except RuntimeError as error:
+            raise CophyError(f"predictor={source} does not fit {target} as it is now") from error
+
+
+def _scenario(keys: dict[str, Any], scenarios: Mapping[str, type[Scenario]], source: Path) -> Scenario:
+    if keys["name"] not in scenarios:
+        raise CophyError(f"predictor={source} is of the scenario {keys['name']}, which is not known here")
+    scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(scenarios[keys["name"]]), keys))
+    assert isinstance(scenario, Scenario)
+    return scenario

@@ -1,0 +1,184 @@
+"""Every configuration composes, ablations change what they declare, mistakes are answered in one line."""
+
+import itertools
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from cophy.app.composition import CONF, composed, settings
+from cophy.report.tables.paper_tables import PaperTable, paper_tables
+from tests.commands import run, run_apart
+from tests.conftest import ROOT, SCENARIOS
+
+ABLATIONS = {
+    "full": set(),
+    "static_gating": {"model.gating"},
+    "mlp": {"model.interaction", "model.slots"},
+    "single_step": {"model.decoding", "model.num_frames"},
+    "feedforward": {"model.confounders"},
+    "gt_confounders": {"model.confounders"},
+    "supervised_confounders": {"training.confounder_weight"},
+}
+
+
+def leaves(tree: dict, prefix: str = "") -> dict[str, object]:
+    found: dict[str, object] = {}
+    for key, value in tree.items():
+        found |= leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found
+
+
+def flat(*overrides: str) -> dict[str, object]:
+    return leaves(OmegaConf.to_container(composed("train", *overrides)))
+
+
+def test_every_ablation_file_is_listed_here() -> None:
+    assert {path.stem for path in (ROOT / "conf" / "ablation").iterdir()} == set(ABLATIONS)
+
+
+@pytest.mark.parametrize("ablation", ABLATIONS)
+def test_an_ablation_changes_exactly_its_own_keys(ablation: str) -> None:
+    full, changed = flat("ablation=full"), flat(f"ablation={ablation}")
+    assert {key for key in full | changed if full.get(key) != changed.get(key)} == ABLATIONS[ablation]
+
+
+@pytest.mark.parametrize("ablation", ABLATIONS)
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_ablation_composes_for_every_scenario(name: str, ablation: str) -> None:
+    assert settings("train", f"scenario={name}", f"ablation={ablation}").scenario.name == name
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenarios_default_split_is_its_first(name: str) -> None:
+    chosen = settings("train", f"scenario={name}")
+    assert chosen.split.name == chosen.scenario.task.splits[0]
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_split_of_a_scenario_exists_under_its_own_name(name: str) -> None:
+    scenario = settings("train", f"scenario={name}").scenario
+    for split in scenario.task.splits:
+        chosen = settings("train", f"scenario={name}", f"split={split}").split
+        assert chosen.name == split
+        assert {chosen.train.num_objects, chosen.test.num_objects} <= set(scenario.num_objects)
+
+
+def test_every_split_belongs_to_a_scenario() -> None:
+    known = {split for name in SCENARIOS for split in settings("train", f"scenario={name}").scenario.task.splits}
+    assert {path.stem for path in (ROOT / "conf" / "split").iterdir()} == known
+
+
+@pytest.mark.parametrize("group", ["scenario", "source_scenario", "model", "trainer"])
+def test_every_number_in_conf_has_its_source(group: str) -> None:
+    for path in (ROOT / "conf" / group).iterdir():
+        for line in path.read_text().splitlines():
+            value, _, source = re.sub('"[^"]*"', "", line).partition("#")
+            if ":" in value and not value.lstrip().startswith("-") and re.search(r"\d", value.split(":", 1)[1]):
+                assert source.strip(), f"{path.name}: {line}"
+
+
+MISTAKES = {
+    "scenario=ballz": "scenario=ballz does not exist (did you mean balls?); there are balls, blocktower, collision",
+    "model.hidden_dim=abc": "model.hidden_dim: Value 'abc' of type 'str' could not be converted to Integer",
+    "model.hiden_dim=32": "model.hiden_dim: Key 'hiden_dim' not in 'CoPhyNetConfig' (did you mean hidden_dim?)",
+    "+model.hiden_dim=32": "unexpected keyword argument 'hiden_dim'",
+    "model.gating=never": "model.gating",
+    "trainer.max_epoch=3": "did you mean max_epochs?",
+    "model.hidden_dim=0": "model: hidden_dim",
+    "training.learning_rate=-1": "training: batch_size and learning_rate must be positive",
+    "positions=guessed": "positions=guessed is not among ground_truth",
+    "scenario=collision split=3to4": "split=3to4 does not go with collision: use all, sphere_to_cylinder, cylinder_to_sphere",
+    "model=copy_c ablation=static_gating": "ablation=static_gating does not go with this model: Key 'gating' not in 'CopyCConfig'",
+    "model=in ablation=feedforward": "ablation=feedforward does not go with this model: Invalid value 'none'",
+    "model=npe ablation=mlp": "ablation=mlp does not go with this model: Key 'interaction'",
+    "model=in ablation=supervised_confounders": "needs a model that estimates confounders from AB, with an attribute",
+    "model=npe model.radius=0": "model.radius=0.0 must be positive",
+    "model.interaction=mlp": "model.interaction=mlp needs model.slots",
+    "+table=colision": "table=colision does not exist (did you mean collision?)",
+    "model._target_=os.system": "model._target_=os.system cannot be imported",
+    "model._target_=mine.Net": "cannot be imported: no module mine (is its folder on PYTHONPATH?)",
+    "model=mine": "(a folder of your own: --config-dir)",
+    "model._target_=collections.Counter": "model._target_=collections.Counter is not a torch.nn.Module",
+    "ckpt=nowhere.ckpt": "ckpt=nowhere.ckpt is no file",
+    f"ckpt={ROOT}/README.md": "is no checkpoint of train.py, or a damaged one",
+    "trainer.max_epochs=0": "trainer.max_epochs=0 must be positive",
+    "seed=0 data_seed=-1": "data_seed=-1 must be at least 0",
+    "scenario.confounders.mass=[1] scenario.confounders.friction=[1] scenario=balls": "too few configurations for twins",
+}
+
+APART = ("scenario=ballz", "model._target_=mine.Net")  # in an interpreter of their own, as for a user
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_answered_in_one_line(mistake: str, tmp_path: Path, tiny_data: Path) -> None:
+    command = run_apart if mistake in APART else run
+    printed = command(
+        "train", "size=tiny", f"data_dir={tiny_data}", f"hydra.run.dir={tmp_path}", *mistake.split(), code=1
+    )
+    assert MISTAKES[mistake] in printed
+    assert "Traceback" not in printed
+    assert len(printed.strip().splitlines()[-1]) < 400
+
+
+def test_an_ablation_without_its_first_line_is_told_so(tmp_path: Path) -> None:
+    (tmp_path / "ablation").mkdir()
+    (tmp_path / "ablation" / "narrow.yaml").write_text("model: {hidden_dim: 8}\n")
+    printed = run("train", "--config-dir", tmp_path, "ablation=narrow", f"hydra.run.dir={tmp_path}", code=1)
+    assert "ablation=narrow: its YAML must start with the line '# @package _global_'" in printed
+
+
+def test_a_misspelt_ablation_stops_before_the_first_job(tmp_path: Path) -> None:
+    """A typo inside a row must not run as the baseline."""
+    rows = tmp_path / "ablation"
+    rows.mkdir()
+    (rows / "typo.yaml").write_text("# @package _global_\nmodel: {gatting: static}\n")
+    where = (f"hydra.searchpath=[file://{tmp_path}]", f"hydra.sweep.dir={tmp_path}/out")
+    assert "gatting" in run("train", "-m", *where, "ablation=full,typo", code=1)
+    assert not list(tmp_path.rglob("metrics.json"))
+
+
+@cache
+def choices_of(row: str) -> tuple[str, str]:
+    """Model and ablation that a row chooses."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        choices = compose("train", [f"+row={row}"], return_hydra_config=True).hydra.runtime.choices
+    return choices["model"], choices["ablation"]
+
+
+@pytest.mark.parametrize("table", paper_tables(), ids=lambda table: table.id)
+def test_the_sweep_of_a_table_runs_what_its_cells_show(table: PaperTable) -> None:
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("train", [f"+table={table.id}"], return_hydra_config=True)
+    params = {key: str(value).split(",") for key, value in cfg.hydra.sweeper.params.items()}
+    assert params.keys() <= {"scenario", "split", "model", "+row", "positions"}
+    methods = [choices_of(row) for row in params["+row"]] if "+row" in params else [(params["model"][0], "full")]
+    positions = params.get("positions", [cfg.positions])
+    product = itertools.product(params["scenario"], params["split"], methods, positions)
+    swept = {(scenario, split, *method, seen) for scenario, split, method, seen in product}
+    cells = [
+        {"positions": "ground_truth", **table.select, **row, **column}
+        for row, column in itertools.product(table.rows.values(), table.columns.values())
+    ]
+    names = ("scenario", "split", "model", "ablation", "positions")
+    shown = {tuple(cell[name] for name in names) for cell in cells}
+    assert shown <= swept
+    assert {model for _, _, model, _, _ in swept - shown} <= {"copy_c", "copy_b"}  # what costs no training
+
+
+def test_every_table_has_a_sweep() -> None:
+    assert {path.stem for path in (ROOT / "conf" / "table").iterdir()} == {table.id for table in paper_tables()}
+
+
+@pytest.mark.parametrize("command", ["generate", "audit"])
+@pytest.mark.parametrize("key", ["seed", "data_seed"])
+def test_the_seed_of_a_dataset_may_be_called_seed(command: str, key: str) -> None:
+    assert settings(command, f"{key}=3").data_seed == 3
+
+
+def test_the_seed_of_a_training_is_not_that_of_its_dataset() -> None:
+    chosen = settings("train", "seed=3")
+    assert (chosen.seed, chosen.data_seed) == (3, 0)

@@ -1,0 +1,79 @@
+"""The commands, run as `python src/<name>.py` runs them, but in this process: seconds of imports are saved each time."""
+
+import io
+import logging
+import runpy
+import subprocess
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import torch
+from hydra.core.hydra_config import HydraConfig
+
+from tests.conftest import ROOT
+
+
+def run(script: str, *arguments: object, code: int = 0) -> str:
+    """What a command prints; its exit code has to be `code`."""
+    printed = io.StringIO()
+    with _as_left(), redirect_stdout(printed), redirect_stderr(printed), _arguments(script, *arguments) as path:
+        ended = 0
+        try:
+            runpy.run_path(path, run_name="__main__")
+        except SystemExit as end:  # as the interpreter does
+            ended = end.code if isinstance(end.code, int) else int(end.code is not None)
+            printed.write(f"{end.code}\n" if isinstance(end.code, str) else "")
+        except Exception:
+            ended = 1
+            traceback.print_exc(file=printed)
+    text = printed.getvalue()
+    assert ended == code, text[-3000:]
+    return text
+
+
+def run_apart(script: str, *arguments: object, code: int = 0) -> str:
+    """The same in an interpreter of its own, for what only that shows."""
+    command = [sys.executable, str(ROOT / "src" / f"{script}.py"), *map(str, arguments)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert result.returncode == code, result.stderr[-3000:]
+    return result.stdout + result.stderr
+
+
+def train(*arguments: object, data: Path, code: int = 0, apart: bool = False) -> str:
+    """A run on tiny data, one epoch unless told otherwise."""
+    epochs = [] if any("max_epochs" in str(argument) for argument in arguments) else ["trainer.max_epochs=1"]
+    return (run_apart if apart else run)("train", *arguments, "size=tiny", f"data_dir={data}", *epochs, code=code)
+
+
+@contextmanager
+def _arguments(script: str, *arguments: object) -> Iterator[str]:
+    path, before = str(ROOT / "src" / f"{script}.py"), (sys.argv, sys.path[:])
+    sys.argv = [path, *map(str, arguments)]
+    sys.path.insert(0, str(ROOT / "src"))
+    try:
+        yield path
+    finally:
+        sys.argv, sys.path[:] = before
+
+
+@contextmanager
+def _as_left() -> Iterator[None]:
+    """Undo what a command changes for the whole process."""
+    logger = logging.getLogger()
+    handlers, level = logger.handlers[:], logger.level
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a command goes on
+            yield
+    finally:
+        for handler in logger.handlers:
+            if handler not in handlers:  # the command's own
+                handler.close()
+        logger.handlers[:], logger.level = handlers, level
+        torch.use_deterministic_algorithms(False)
+        torch.set_num_threads(1)
+        HydraConfig.instance().cfg = None

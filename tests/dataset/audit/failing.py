@@ -1,0 +1,9 @@
+"""Which lines of an audit fail."""
+
+from collections.abc import Iterable
+
+from cophy.dataset.audit import Check
+
+
+def failing(checks: Iterable[Check]) -> set[str]:
+    return {check.name for check in checks if not check.passed}

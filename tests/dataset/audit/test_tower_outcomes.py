@@ -1,0 +1,28 @@
+"""Labels and outcomes of towers that do not agree are named."""
+
+import pytest
+
+from cophy.dataset.audit.tower_outcomes import towers
+from tests.dataset.audit.failing import failing
+
+
+def test_a_flipped_label_is_caught(tiny) -> None:
+    spec, arrays = tiny
+    if spec.scenario.name != "blocktower":
+        pytest.skip("towers only")
+    flipped = arrays["cell"].copy()
+    flipped[5] = (flipped[5] + 1) % 4
+    assert "labels agree with the trajectories" in failing(
+        towers(arrays | {"cell": flipped}, spec, spec.scenario.statics)
+    )
+
+
+def test_twins_that_fall_alike_are_caught(tiny) -> None:
+    spec, arrays = tiny
+    if spec.scenario.name != "blocktower":
+        pytest.skip("towers only")
+    changed = arrays["states"].copy()
+    changed[6:8, 1] = changed[6:8, 1, :1]  # both CD stand
+    assert "twins have opposite outcomes, AB and CD" in failing(
+        towers(arrays | {"states": changed}, spec, spec.scenario.statics)
+    )

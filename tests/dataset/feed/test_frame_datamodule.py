@@ -1,0 +1,35 @@
+"""Frames for the de-renderer."""
+
+from pathlib import Path
+
+import numpy as np
+
+from cophy.dataset.feed.frame_datamodule import FrameDataModule
+from cophy.dataset.store.states import States
+from cophy.scenario.rendering.frames import Backend, RenderSettings
+from tests.conftest import tiny_spec
+
+
+def test_frames_are_those_of_the_split_they_are_asked_for(tiny_data: Path) -> None:
+    render = RenderSettings(["rgb"], 16, Backend.tiny)
+    data = FrameDataModule(
+        [States(tiny_spec("collision"), tiny_data)],
+        render=render,
+        resolution=16,
+        num_images=100,
+        data_seed=0,
+        batch_size=10,
+        workers=2,
+    )
+    data.prepare_data()
+    data.setup()
+    assert (len(data.train), len(data.val), len(data.test)) == (100, 10, 10)
+    arrays = data.train.sources[0][1]
+    for frames, split in ((data.train, 0), (data.val, 1), (data.test, 2)):
+        assert set(arrays["split"][frames.index[:, 1]]) == {split}
+    batch = next(iter(data.train_dataloader()))
+    assert batch.image.shape == (10, 3, 16, 16)
+    assert batch.presence.sum(dim=1).tolist() == [2] * 10
+    item = data.train[3]
+    _, row, sequence, frame = data.train.index[3].tolist()
+    np.testing.assert_array_equal(item.position, arrays["states"][row, sequence, 4 * frame, :, :3])

@@ -1,0 +1,204 @@
+"""What is exported has the released format, file by file, and reads back as what it was."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from cophy.dataset.released.export.exporter import export
+from cophy.dataset.released.untrusted_files import count_frames
+from cophy.dataset.source import Source
+from cophy.dataset.store import images
+from cophy.dataset.store.images import Images
+from cophy.dataset.store.states import States
+from cophy.errors import CophyError
+from cophy.scenario.rendering.frames import NO_OBJECT, Backend, Frames, RenderSettings
+from tests.conftest import SCENARIOS, settings, tiny_spec
+from tests.dataset.released.indexing import make
+
+PX = 32
+GRID = ("mass", "friction", "restitution", "gravity_x", "gravity_y")
+
+
+class Drawer:
+    """In the renderer's place: slot s is the columns s and s + 9 of a picture of brightness 8 · (number of the frame)."""
+
+    camera_seconds = 0.0
+
+    def __init__(self, *args: Any) -> None: ...
+
+    def __enter__(self) -> "Drawer":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def render(self, positions: np.ndarray, quaternions: np.ndarray, *, presence: np.ndarray, **kwargs: Any) -> Frames:
+        count = len(positions)
+        rgb = np.broadcast_to(8 * np.arange(count, dtype=np.uint8)[:, None, None, None], (count, PX, PX, 3))
+        segmentation = np.full((count, PX, PX), NO_OBJECT, dtype=np.uint8)
+        for slot in np.flatnonzero(presence):
+            segmentation[:, 4:8, [slot, slot + 9]] = slot
+        return Frames(rgb, np.zeros((count, PX, PX), dtype=np.uint16), segmentation)
+
+
+@pytest.fixture
+def drawn(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A scenario's tiny dataset with pictures that cost nothing."""
+    monkeypatch.setattr(images, "Renderer", Drawer)
+
+    def make_pictures(name: str) -> Images:
+        states = States(tiny_spec(name), tiny_data)
+        pictures = Images(states, RenderSettings(["rgb", "segmentation"], PX, Backend.tiny))
+        pictures.directory = tmp_path / "pictures"
+        pictures.directory.mkdir(exist_ok=True)
+        for shard in range(states.spec.num_shards):
+            pictures.write(pictures.path(shard), shard, lambda count: None)
+        pictures.write_manifest()
+        return pictures
+
+    return make_pictures
+
+
+def imported(name: str, root: Path, split: str | None = None) -> dict[str, np.ndarray]:
+    """The export read back, with the grid that it was generated with."""
+    ours = settings("train", f"scenario={name}").scenario.confounders
+    grid = [f"scenario.confounders.{key}={[float(v) for v in getattr(ours, key)]}" for key in GRID]
+    chosen = settings("train", "source=cophy", f"scenario={name}", *grid, *([f"split={split}"] if split else []))
+    return make(
+        Source("cophy", "", str(root)).experiment_set(
+            chosen.scenario, SCENARIOS[name], split=chosen.split, size=chosen.size, data_seed=0, data_dir=root / "index"
+        )
+    ).load()
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_an_export_reads_back_as_what_it_was(name: str, drawn: Any, tmp_path: Path) -> None:
+    pictures = drawn(name)
+    root = tmp_path / "root"
+    export(pictures, root)
+    was, back = pictures.states.load(), imported(name, root)
+    frames = back["states"].shape[2]
+    assert frames == (15 if name == "collision" else 30)
+    np.testing.assert_array_equal(back["states"], was["states"][:, :, ::4][:, :, :frames])
+    for array in ("presence", "split", "mass", "friction", "restitution", "gravity", "do_slot", "shape"):
+        np.testing.assert_array_equal(back[array], was[array], err_msg=array)
+    np.testing.assert_allclose(back["do_offset"], was["do_offset"], atol=1e-6)
+    if name != "balls":
+        np.testing.assert_array_equal(back["object_index"], was["object_index"])
+    assert back["clip"].all()
+
+
+@pytest.mark.parametrize(
+    ("name", "split"),
+    [
+        ("blocktower", "3to3_unseen"),
+        ("collision", "sphere_to_cylinder"),
+    ],
+)
+def test_lists_of_what_training_leaves_out_read_back(name: str, split: str, drawn: Any, tmp_path: Path) -> None:
+    pictures = drawn(name)
+    root = tmp_path / "root"
+    export(pictures, root)
+    was, back = pictures.states.load(), imported(name, root, split)
+    chosen = settings("train", f"scenario={name}", f"split={split}").split
+    test = was["split"] == 2
+    expected = np.where(test, chosen.test.select(was), chosen.train.select(was))
+    np.testing.assert_array_equal(back["experiment"], np.flatnonzero(expected))
+    np.testing.assert_array_equal(back["split"], was["split"][expected])
+
+
+FILES = {
+    "blocktower": {"confounders.npy", "gravity.txt"},
+    "balls": {"confounders.npy", "explanations.txt"},
+    "collision": {"confounders.npy", "explanations.txt"},
+}
+LISTS = {
+    "blocktower": {f"blocktowerCF_{s}_3_{k}.txt" for s in ("train", "val", "test") for k in ("normal", "generalization")},
+    "balls": {f"ballsCF_{s}_4.txt" for s in ("train", "val", "test")},
+    "collision": {
+        f"collisionCF_{s}_{k}.txt"
+        for s in ("train", "val", "test")
+        for k in ("normal", "moving_sphere", "moving_cylinder")
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_file_is_as_the_format_says(name: str, drawn: Any, tmp_path: Path) -> None:
+    pictures = drawn(name)
+    folder = export(pictures, tmp_path / "root")
+    task = {"blocktower": "blocktowerCF/3", "balls": "ballsCF/4", "collision": "collisionCF"}[name]
+    assert folder == tmp_path / "root" / task
+    assert {path.name for path in (tmp_path / "root" / "splits").iterdir()} == LISTS[name]
+    slots, frames = pictures.spec.scenario.num_slots, 15 if name == "collision" else 30
+    arrays = pictures.states.load()
+    for row in (0, 1, 38):
+        files = {str(path.relative_to(folder / str(row))) for path in (folder / str(row)).rglob("*") if path.is_file()}
+        parts = {
+            f"{part}/{file}"
+            for part in ("ab", "cd")
+            for file in ("rgb.mp4", "segm.mp4", "states.npy", "bboxes.npy", "colors.txt")
+        }
+        assert files == parts | FILES[name]
+        for sequence, part in enumerate(("ab", "cd")):
+            states, boxes = (np.load(folder / str(row) / part / f"{file}.npy") for file in ("states", "bboxes"))
+            present = arrays["presence"][row, sequence]
+            assert states.shape == (frames, slots, 13)
+            assert not states[:, ~present].any()
+            assert boxes.shape == (frames, slots, 4)
+            assert boxes.dtype == np.float64  # the released loader divides in place
+            scale = 224 / PX
+            expected = [[slot * scale, 4 * scale, (slot + 9) * scale, 7 * scale] for slot in np.flatnonzero(present)]
+            np.testing.assert_allclose(boxes[7, present], expected)
+            assert not boxes[:, ~present].any()
+            assert [count_frames(folder / str(row) / part / f"{clip}.mp4") for clip in ("rgb", "segm")] == [frames] * 2
+            capture = cv2.VideoCapture(str(folder / str(row) / part / "rgb.mp4"))
+            assert capture.get(cv2.CAP_PROP_FPS) == 5
+            lines = (folder / str(row) / part / "colors.txt").read_text().splitlines()
+            names = [line.split("color=")[1] for line in lines if "color=" in line]
+            assert {list(pictures.spec.scenario.colors).index(color) for color in names} == set(np.flatnonzero(present))
+            if name == "blocktower":
+                assert "color=" not in lines[0]
+                heights = states[0, [list(pictures.spec.scenario.colors).index(color) for color in names], 2]
+                assert (np.diff(heights) > 0).all()
+            if name == "collision":
+                kinds = {line.split("type=")[1].split(" ")[0] for line in lines}
+                assert kinds <= {"sphere", "cylinder_up", "cylinder_down"}
+        confounders = np.load(folder / str(row) / "confounders.npy")
+        assert confounders.shape == (slots, 2 if name == "blocktower" else 3)
+        if name == "blocktower":
+            text = (folder / str(row) / "gravity.txt").read_text()
+            x, y = float(text.split("gravity_x=")[1].split(" ")[0]), float(text.split("gravity_y=")[1])
+            assert [x, y] == arrays["gravity"][row, :2].tolist()
+
+
+def test_an_export_goes_on_where_it_was_stopped(drawn: Any, tmp_path: Path) -> None:
+    pictures = drawn("collision")
+    folder = export(pictures, tmp_path / "root")
+    kept = (folder / "4" / "confounders.npy").stat().st_mtime_ns
+    (folder / "5" / "explanations.txt").unlink()
+    (folder / "5").rename(folder / ".5.tmp")  # as a kill leaves it
+    export(pictures, tmp_path / "root")
+    assert (folder / "5" / "explanations.txt").exists()
+    assert not list(folder.glob(".*.tmp"))
+    assert (folder / "4" / "confounders.npy").stat().st_mtime_ns == kept
+
+
+def test_an_export_overwrites_nothing_that_is_not_its_own(drawn: Any, tmp_path: Path) -> None:
+    pictures = drawn("collision")
+    foreign = tmp_path / "foreign" / "collisionCF" / "0"
+    foreign.mkdir(parents=True)
+    with pytest.raises(CophyError, match="collisionCF holds other data"):
+        export(pictures, tmp_path / "foreign")
+    assert [path.name for path in (tmp_path / "foreign").rglob("*")] == ["collisionCF", "0"]
+    lists = tmp_path / "lists" / "splits"
+    lists.mkdir(parents=True)
+    (lists / "collisionCF_val_normal.txt").write_text("17\n")
+    with pytest.raises(CophyError, match=r"collisionCF_val_normal.txt is a list of other data"):
+        export(pictures, tmp_path / "lists")
+    assert not (tmp_path / "lists" / "collisionCF").exists()

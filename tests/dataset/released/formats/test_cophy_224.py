@@ -1,0 +1,94 @@
+"""CoPhy_224 is read as it is described, whatever varies."""
+
+import numpy as np
+import pytest
+
+from cophy.errors import CophyError
+from cophy.scenario import Shape
+from tests.dataset.released.indexing import LISTS, load
+from tests.dataset.released.trees import BALL_COLORS, TOWER_COLORS, CoPhyTree
+
+
+def raw(tree: CoPhyTree, path: str) -> np.ndarray:
+    return np.load(tree.root / path)
+
+
+def test_towers_are_read_as_they_are_stored(towers: CoPhyTree) -> None:
+    arrays = load("cophy", "blocktower", towers.root)
+    assert arrays["split"].tolist() == [0, 0, 1, 2]
+    for row, name in enumerate("0123"):
+        for sequence, part in enumerate(("ab", "cd")):
+            stored = raw(towers, f"blocktowerCF/3/{name}/{part}/states.npy")
+            np.testing.assert_allclose(arrays["states"][row, sequence], stored, rtol=1e-6)
+            assert arrays["presence"][row, sequence].tolist() == stored[0].any(axis=-1).tolist()
+        confounders = raw(towers, f"blocktowerCF/3/{name}/confounders.npy")
+        np.testing.assert_array_equal(arrays["mass"][row], confounders[:, 0])
+        np.testing.assert_array_equal(arrays["friction"][row], confounders[:, 1])
+        text = (towers.root / f"blocktowerCF/3/{name}/ab/colors.txt").read_text().split("color=")[1:]
+        bottom_to_top = [TOWER_COLORS.index(color.strip()) for color in text]
+        assert arrays["object_index"][row, bottom_to_top].tolist() == [0, 1, 2]
+    np.testing.assert_array_equal(arrays["gravity"], [[0.5, -0.5, -10.0]] * 4)
+    np.testing.assert_allclose(arrays["do_offset"], [[0, 0.25, 0], [0, 0, 0]] * 2, atol=1e-6)
+    assert arrays["presence"].sum(axis=2).tolist() == [[3, 3], [3, 2]] * 2
+    assert arrays["twin"].tolist() == [0, 1, 2, 3]  # nobody is anybody's twin
+
+
+def test_noise_in_confounders_is_rounded_to_the_grid(tree: CoPhyTree) -> None:
+    for name in "0123":
+        tree.balls(name)
+    tree.lists("ballsCF", "_4", **LISTS)
+    arrays = load("cophy", "balls", tree.root)
+    present = arrays["presence"][:, 0]
+    assert set(arrays["friction"][present].tolist()) <= {np.float32(v) for v in (0.1, 0.5, 1)}
+    stored = np.stack([raw(tree, f"ballsCF/4/{name}/confounders.npy") for name in "0123"])
+    assert (stored == 0.0997877).any()
+    np.testing.assert_allclose(arrays["restitution"], stored[..., 2], atol=1e-3)
+    assert arrays["states"].shape == (4, 2, 30, len(BALL_COLORS), 13)
+
+
+def test_collisions_know_what_moves(tree: CoPhyTree) -> None:
+    for name in "0123":
+        tree.collision(name, moving="cylinder_down" if name == "3" else "sphere")
+    tree.lists("collisionCF", "_normal", **LISTS)
+    tree.lists("collisionCF", "_moving_sphere", **LISTS)
+    tree.lists("collisionCF", "_moving_cylinder", **LISTS)
+    arrays = load("cophy", "collision", tree.root, split="sphere_to_cylinder")
+    moving = arrays["object_index"] == 0
+    assert arrays["shape"][moving].tolist() == [Shape.SPHERE] * 3 + [Shape.CYLINDER]
+    assert arrays["states"].shape[2] == 15
+    with pytest.raises(
+        CophyError, match=r"_train_moving_cylinder.txt: in 2 of the listed .* moving object is no cylinder"
+    ):
+        load("cophy", "collision", tree.root, split="cylinder_to_sphere")
+
+
+def test_unseen_splits_are_the_lists_called_generalization(towers: CoPhyTree) -> None:
+    towers.lists("blocktowerCF", "_3_generalization", train=["3"], val=["1"], test=["0"])
+    arrays = load("cophy", "blocktower", towers.root, split="3to3_unseen")
+    assert dict(zip(arrays["experiment"].tolist(), arrays["split"].tolist(), strict=True)) == {0: 2, 1: 1, 3: 0}
+    assert arrays["seen"].tolist() == [False, True, True]
+
+
+def test_what_the_tower_generator_leaves_out_is_unknown(tree: CoPhyTree, caplog: pytest.LogCaptureFixture) -> None:
+    for name in "0123":
+        tree.generated_tower(name, 4)
+    tree.lists("blocktowerCF", "_4_normal", **LISTS)
+    arrays = load("cophy", "blocktower", tree.root, split="4to4")
+    heights = np.sort(arrays["states"][:, 0, 0, :, 2], axis=1)
+    np.testing.assert_allclose(heights, [[0.5, 1.5, 2.5, 3.5]] * 4)
+    assert arrays["presence"].sum(axis=2).tolist() == [[4, 4], [4, 3]] * 2
+    assert np.isnan(arrays["mass"]).all()  # which mass is whose, the files do not tell
+    assert np.isnan(arrays["gravity"][:, :2]).all()  # (0.5, 0.5) would pass for gravity, and is two frictions
+    assert "gravity counts as unknown" in caplog.text
+
+
+def test_unpadded_states_with_colors_find_their_slots(towers: CoPhyTree) -> None:
+    known = load("cophy", "blocktower", towers.root)
+    for name in "0123":
+        for sequence, part in enumerate(("ab", "cd")):
+            path = towers.root / f"blocktowerCF/3/{name}/{part}/states.npy"
+            stored = np.load(path)
+            order = np.argsort(known["object_index"][int(name)])[1:]
+            np.save(path, stored[:, [slot for slot in order if known["presence"][int(name), sequence, slot]]])
+    for name, array in load("cophy", "blocktower", towers.root).items():
+        np.testing.assert_array_equal(array, known[name])

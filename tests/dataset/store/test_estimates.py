@@ -1,0 +1,37 @@
+"""Estimates are of the states and the pictures beside them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cophy.dataset import generation
+from cophy.dataset.store.estimates import Estimates
+from cophy.dataset.store.images import Images
+from cophy.errors import CophyError
+from tests.dataset.store.rendered import RENDER, copy_images
+
+
+class Guess:
+    """Sees nothing."""
+
+    name, source, render = "guess", Path("guess.ckpt"), RENDER
+
+    def __call__(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros((len(rgb), 4, 3)), np.zeros((len(rgb), 4))
+
+
+def test_estimates_of_other_pictures_are_made_again(
+    rendered: Images, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    copied = copy_images(rendered, tmp_path)
+    estimates = Estimates(copied, Guess())
+    generation.make(estimates, workers=1)
+    copied.directory.joinpath("manifest.json").write_text(
+        rendered.directory.joinpath("manifest.json").read_text().replace(copied.checksums()["shard-00001.h5"], "0" * 64)
+    )
+    with pytest.raises(CophyError, match=r"shard-00001\.h5 is damaged \(it was made of other files"):
+        estimates.load()
+    for path in copied.directory.glob("*"):
+        path.unlink()
+    assert estimates.load()["position"].shape == (40, 2, 30, 4, 3)  # pictures may go once they were seen

@@ -1,0 +1,53 @@
+"""Files of unknown origin: nothing but plain arrays of the expected shape is read."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from cophy.dataset.store.hdf5_arrays import DamagedShardError, Field, creating, encode, reading
+
+FIELDS = {"mass": Field((2, 4), "<f4"), "cell": Field((2,), "|u1", stored_as="stratum")}
+ARRAYS = {"mass": np.arange(8, dtype="f4").reshape(2, 4), "cell": np.array([3, 1], dtype="u1")}
+
+
+@pytest.mark.parametrize("fault", ["missing", "external", "soft link", "shape", "type", "cut off"])
+def test_what_is_no_plain_array_is_damage(tmp_path: Path, fault: str) -> None:
+    path = tmp_path / "shard.h5"
+    path.write_bytes(encode(ARRAYS, FIELDS))
+    if fault == "cut off":
+        path.write_bytes(path.read_bytes()[:100])
+    else:
+        with h5py.File(path, "r+") as file:
+            del file["mass"]
+            if fault == "external":
+                file["mass"] = h5py.ExternalLink("/etc/passwd", "x")
+            elif fault == "soft link":
+                file["mass"] = h5py.SoftLink("/stratum")
+            elif fault == "shape":
+                file.create_dataset("mass", shape=(10**9, 4), dtype="f4", chunks=(1000, 4))
+            elif fault == "type":
+                file.create_dataset("mass", shape=(2, 4), dtype="f8")
+    with pytest.raises(DamagedShardError, match=r"truncated|mass"), reading(path, FIELDS, {}):
+        pass
+
+
+def test_arrays_have_their_own_names_in_files(tmp_path: Path) -> None:
+    path = tmp_path / "shard.h5"
+    path.write_bytes(encode(ARRAYS, FIELDS))
+    with h5py.File(path) as file:
+        assert set(file) == {"mass", "stratum"}
+    with reading(path, FIELDS, {}) as stored:
+        for name, array in ARRAYS.items():
+            np.testing.assert_array_equal(stored[name][()], array)
+
+
+def test_a_file_made_of_other_files_is_damage(tmp_path: Path) -> None:
+    path = tmp_path / "shard.h5"
+    with creating(path, FIELDS, {"states_sha256": "a"}) as stored:
+        stored["mass"][:] = ARRAYS["mass"]
+    with reading(path, FIELDS, {"states_sha256": "a"}) as stored:
+        np.testing.assert_array_equal(stored["mass"][()], ARRAYS["mass"])
+    with pytest.raises(DamagedShardError, match="made of other files"), reading(path, FIELDS, {"states_sha256": "b"}):
+        pass

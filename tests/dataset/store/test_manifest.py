@@ -1,0 +1,22 @@
+"""Without a sound manifest nothing is read."""
+
+from pathlib import Path
+
+import pytest
+
+from cophy.dataset.store.manifest import MANIFEST
+from cophy.dataset.store.states import States
+from cophy.errors import CophyError
+from tests.dataset.copies import SPEC, copy
+
+
+def test_a_damaged_manifest_is_named_with_its_remedy(finished: Path, tmp_path: Path) -> None:
+    directory = copy(finished, tmp_path)
+    (directory / MANIFEST).write_text("{")
+    with pytest.raises(CophyError, match=r"manifest\.json is damaged .* delete it and run"):
+        States(SPEC, tmp_path).load()
+
+
+def test_an_unfinished_dataset_is_not_loaded(tmp_path: Path) -> None:
+    with pytest.raises(CophyError, match="is not finished: run"):
+        States(SPEC, tmp_path).load()

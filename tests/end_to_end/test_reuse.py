@@ -1,0 +1,85 @@
+"""A training that was done is not done again."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.commands import train
+
+HALVES = ("scenario=balls", "trainer.max_epochs=1")
+
+
+def result(root: Path, split: str) -> dict:
+    return json.loads((root / f"balls/{split}/cophynet/full/ground_truth/seed0/metrics.json").read_text())
+
+
+def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path: Path) -> None:
+    printed = train("-m", *HALVES, "split=4to4,4to2", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
+    assert printed.count("trained already") == 1
+    assert str(tmp_path / "balls/4to4/cophynet/full/ground_truth/seed0/checkpoints") in printed
+    assert result(tmp_path, "4to2")["metrics"]["mse"] != result(tmp_path, "4to4")["metrics"]["mse"]
+    assert result(tmp_path, "4to2")["training_seconds"] == result(tmp_path, "4to4")["training_seconds"]
+    named = "scenario.task.splits=[4to4,4to2,4to3,4to5,4to6,mine]"  # a split more does not train the others again
+    assert "trained already" in train("-m", *HALVES, named, "split=4to2", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
+    alone = train(*HALVES, "split=4to2", f"hydra.run.dir={tmp_path / 'alone'}", data=tiny_data)
+    assert "trained already" not in alone
+    metrics = json.loads((tmp_path / "alone" / "metrics.json").read_text())["metrics"]
+    assert metrics == result(tmp_path, "4to2")["metrics"]  # reuse changes no number
+
+
+def test_another_training_is_not_reused(tiny_data: Path, tmp_path: Path) -> None:
+    place = (*HALVES, f"hydra.run.dir={tmp_path}")
+    train(*place, data=tiny_data)
+    assert "trained already" in train(*place, data=tiny_data)
+    assert "trained already" not in train(*place, "reuse=false", data=tiny_data)
+    assert "trained already" not in train(*place, "training.learning_rate=0.002", data=tiny_data)
+    assert "trained already" not in train(*place, "seed=1", data=tiny_data)
+
+
+def test_a_failed_row_is_noted_and_the_others_run(tiny_data: Path, tmp_path: Path) -> None:
+    sweep = ("-m", "scenario=collision", "split=cylinder_to_sphere,all", "model=copy_b", f"hydra.sweep.dir={tmp_path}")
+    train(*sweep, data=tiny_data, code=1)  # tiny data hold no test experiment of the first split
+    assert "Traceback" not in next(tmp_path.glob("collision/cylinder_to_sphere/**/train.log")).read_text()
+    assert "leaves no test experiments" in json.loads(next(tmp_path.rglob("failure.json")).read_text())["error"]
+    assert [path.parts[-6] for path in tmp_path.rglob("metrics.json")] == ["all"]
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[object, ...]:
+    """Arguments that choose a model of one's own, which needs a helper.py with its SCALE."""
+    (tmp_path / "own.py").write_text(
+        "from dataclasses import replace\n\nfrom torch import nn\nfrom cophy.models.baselines import CopyC\nfrom helper import SCALE\n\n"
+        "class Own(CopyC):\n    def __init__(self):\n        super().__init__()\n        self.linear = nn.Linear(3, 3)\n\n"
+        "    def forward(self, inputs):\n        copied = super().forward(inputs)\n"
+        "        return replace(copied, position=copied.position + SCALE * self.linear(copied.position))\n"
+    )
+    (tmp_path / "conf" / "model").mkdir(parents=True)
+    (tmp_path / "conf" / "model" / "own.yaml").write_text("_target_: own.Own\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    return "--config-dir", tmp_path / "conf", "model=own", "scenario=collision"
+
+
+def test_a_training_of_other_code_is_not_reused(tiny_data: Path, tmp_path: Path, own: tuple[object, ...]) -> None:
+    place = (*own, f"hydra.run.dir={tmp_path / 'run'}")
+    for scale, reused in ((1, False), (1, True), (2, False)):
+        (tmp_path / "helper.py").write_text(f"SCALE = {scale}\n")
+        assert ("trained already" in train(*place, data=tiny_data, apart=True)) == reused
+
+
+def test_a_model_that_crashes_in_a_sweep_leaves_its_traceback(
+    tiny_data: Path, tmp_path: Path, own: tuple[object, ...]
+) -> None:
+    (tmp_path / "helper.py").write_text("SCALE = 'large'\n")
+    train(*own, f"hydra.sweep.dir={tmp_path}", "hydra.mode=MULTIRUN", data=tiny_data, code=1, apart=True)
+    logged = next(tmp_path.glob("collision/**/train.log")).read_text()
+    assert "own.py" in logged
+    assert "TypeError" in logged
+
+
+def test_checkpoints_of_an_earlier_training_are_not_tested(tiny_data: Path, tmp_path: Path) -> None:
+    """A training that never validates has no best checkpoint; the old one must not stand in for it."""
+    train("scenario=collision", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    without = ("trainer.limit_val_batches=0", "training.learning_rate=0.001")
+    train("scenario=collision", *without, f"hydra.run.dir={tmp_path}", data=tiny_data, code=1)
+    assert not (tmp_path / "metrics.json").exists()

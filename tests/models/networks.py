@@ -1,0 +1,49 @@
+"""Networks as conf/ has them, and random experiments to feed them."""
+
+import torch
+from torch import Tensor, nn
+
+from cophy.app.composition import composed, to_plain
+from cophy.training.trained.network import build_network
+from cophy.types import CONFOUNDERS, Batch, Inputs, Targets
+
+ABLATIONS = ("full", "static_gating", "mlp", "single_step", "feedforward", "gt_confounders")
+INTERACTION_NETWORKS = ("in", "npe", "in gt_confounders", "npe gt_confounders")
+BASELINES = (*INTERACTION_NETWORKS, "copy_b", "copy_c")
+
+
+def build(choice: str, *overrides: str) -> nn.Module:
+    """The network of "model ablation" as conf/ has it, or of a CoPhyNet ablation; its weights follow from seed 0."""
+    model, _, ablation = f"cophynet {choice}".partition(" ") if choice in ABLATIONS else choice.partition(" ")
+    config = composed("train", f"model={model}", f"ablation={ablation or 'full'}", *overrides)
+    torch.manual_seed(0)
+    return build_network(to_plain(config.model))
+
+
+def random_batch(num_slots: int, num_objects: list[int], num_frames: int = 30) -> Batch:
+    """Random experiments of so many objects each; from every second one, the do-operation removes one."""
+    size, generator = len(num_objects), torch.Generator().manual_seed(0)
+    order = torch.rand(size, num_slots, generator=generator).argsort(dim=1)
+    observed_presence = order < torch.tensor(num_objects)[:, None]
+    presence = observed_presence & ((order > 0) | (torch.arange(size) % 2 == 0)[:, None])
+
+    def random(*shape: int) -> Tensor:
+        return torch.randn(size, *shape, generator=generator)
+
+    inputs = Inputs(
+        observed=random(num_frames, num_slots, 3) * observed_presence[:, None, :, None],
+        observed_presence=observed_presence,
+        observed_stable=random(num_frames - 1, num_slots) > 0,
+        initial=random(num_slots, 3) * presence[..., None],
+        presence=presence,
+        confounders=random(num_slots, len(CONFOUNDERS)) * observed_presence[..., None],
+    )
+    targets = Targets(
+        position=random(num_frames - 1, num_slots, 3),
+        stable=random(num_frames - 1, num_slots) > 0,
+        presence=presence,
+        initial=inputs.initial,
+        observed_presence=observed_presence,
+        confounder_class=torch.zeros(size, num_slots, 2, dtype=torch.long),
+    )
+    return Batch(inputs, targets)

@@ -1,0 +1,83 @@
+"""Tables from runs whose numbers are known."""
+
+import pandas as pd
+
+from cophy.report.tables.filled_tables import fill
+from cophy.report.tables.paper_tables import paper_tables
+from cophy.report.tables.table_formats import markdown
+from tests.report.lines import measured, run
+
+TABLES = {table.id: table for table in paper_tables()}
+
+
+def test_the_best_of_the_comparable_methods_is_bold() -> None:
+    runs = pd.DataFrame(
+        [measured("mse", 0.4, "copy_c"), measured("mse", 0.2, "cophynet"), measured("mse", 0.1, "in", "gt_confounders")]
+    )
+    cells = fill(TABLES["blocktower"], runs).cells(bold=("**", "**")).loc["3→3"]
+    assert cells["Copy C"] == "0.400 [0.390, 0.420] / 0.470"
+    assert cells["CoPhyNet"] == "**0.200** [0.190, 0.220] / 0.294"
+    assert cells["IN sup."] == "0.100 [0.090, 0.120] / 0.296"  # a bound does not compete
+    assert cells["NPE"] == "— / 0.331"
+
+
+def test_accuracies_are_percent_and_higher_is_better() -> None:
+    metric = "sequence_stability_accuracy"
+    runs = pd.DataFrame([measured(metric, 0.5, "copy_c"), measured(metric, 0.75, "cophynet")])
+    cells = fill(TABLES["stability"], runs).cells(bold=("**", "**"))["3→3"]
+    assert cells["CoPhyNet"] == "**75.0** [74.0, 77.0] / 76.8"
+    assert cells["Copy C"] == "50.0 [49.0, 52.0] / 71.0"
+
+
+def test_the_share_of_the_possible_gain_is_between_the_oracles() -> None:
+    models = {"oracle_feedforward": 0.3, "oracle_counterfactual": 0.1, "cophynet": 0.15, "in": 0.3, "copy_c": 0.4}
+    filled = fill(TABLES["blocktower"], pd.DataFrame([measured("mse", mse, model) for model, mse in models.items()]))
+    shares = filled.shares()
+    assert shares is not None
+    assert shares.loc["3→3", ["CoPhyNet", "IN", "Copy C", "NPE"]].tolist() == ["75%", "0%", "-50%", "—"]
+    assert not {"Oracle without AB", "Oracle with AB"} & set(shares.columns)
+    assert not filled.values.set_index(["row", "column"])["best"]["3→3", "Oracle with AB"]  # it does not compete
+    assert "75%" in markdown(filled)
+    without = pd.DataFrame([measured("mse", 0.2, "cophynet")])
+    assert fill(TABLES["blocktower"], without).shares() is None
+
+
+def test_the_share_of_an_accuracy_grows_with_it() -> None:
+    metric = "sequence_stability_accuracy"
+    models = {"oracle_feedforward": 0.7, "oracle_counterfactual": 0.9, "cophynet": 0.8}
+    filled = fill(
+        TABLES["stability"], pd.DataFrame([measured(metric, value, model) for model, value in models.items()])
+    )
+    shares = filled.shares()
+    assert shares is not None
+    assert shares.loc["CoPhyNet", "3→3"] == "50%"
+
+
+def test_seeds_are_averaged_and_a_failed_one_is_counted() -> None:
+    runs = pd.DataFrame([measured("mse", value, "cophynet", seed=seed) for seed, value in enumerate((0.1, 0.2, 0.3))])
+    failed = pd.DataFrame([run("cophynet", seed=3, error="boom"), run("npe", error="boom")])
+    failed = failed.drop(columns=["num_train", "num_test", "epochs"])  # which a run has once it is done
+    filled = fill(TABLES["blocktower"], pd.concat([runs, failed]))
+    assert filled.cells().loc["3→3", "CoPhyNet"] == "0.200 ± 0.100 (1 failed) / 0.294"
+    assert filled.cells().loc["3→3", "NPE"] == "failed / 0.331"
+    assert "seeds 0, 1, 2" in filled.caption
+    assert "2800 training and 400 test experiments; 40 epochs" in filled.caption
+
+
+def test_estimated_positions_fill_tables_of_their_own_and_name_the_derenderer() -> None:
+    estimated = {"positions": "train_ground_truth_test_derendered", "derenderer": "0123abcd"}
+    runs = pd.DataFrame([measured("mse", 0.2, "cophynet"), measured("mse", 0.3, "cophynet", **estimated)])
+    assert fill(TABLES["blocktower"], runs).cells().loc["3→3", "CoPhyNet"].startswith("0.200")
+    filled = fill(TABLES["blocktower_derendered"], runs)
+    assert filled.cells().loc["3→3", "CoPhyNet"].startswith("0.300")
+    assert "de-renderer 0123abcd" in filled.caption
+    trained = fill(TABLES["training_positions"], runs).cells()
+    assert trained.loc["3→3", "CoPhyNet, trained on true positions"].startswith("0.300")
+    assert trained.loc["3→3", "CoPhyNet, trained on estimated positions"].startswith("—")
+
+
+def test_runs_of_a_smaller_size_do_not_mix_in() -> None:
+    runs = pd.DataFrame(
+        [measured("mse", 0.2, "cophynet"), measured("mse", 0.9, "cophynet", seed=1, size="tiny", num_train=28)]
+    )
+    assert fill(TABLES["blocktower"], runs).cells().loc["3→3", "CoPhyNet"].startswith("0.200 [")

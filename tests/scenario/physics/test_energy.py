@@ -1,0 +1,58 @@
+"""No scenario's simulation makes energy out of nothing."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from cophy.scenario import Scenario, Simulator
+from cophy.scenario.physics.energy import energy, largest_gain
+from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory, Vector
+from tests.conftest import SCENARIOS, tiny_spec
+
+
+def moving(shape: Shape, size_m: Vector, angular: list[float]) -> tuple[Scene, Trajectory]:
+    """A body of 2 kg at 3 m/s, spinning, at heights of 0 and 1 m."""
+    body = Body(shape, size_m, position=(0.0, 0.0, 0.0), slot=0, mass=2.0)
+    state = [*(0.0, 0.0, 0.0), *(0.0, 0.0, 0.0, 1.0), *(3.0, 0.0, 0.0), *angular]
+    states = np.array([[state], [state], [state]])
+    states[1, 0, 2] = 1.0
+    states[2, 0, 7:] = 0.0  # at rest on the floor: the lowest energy
+    return Scene((body,), gravity=(0.0, 0.0, -10.0)), Trajectory(states, np.array([True]))
+
+
+@pytest.mark.parametrize(
+    ("shape", "size_m", "angular", "moment"),
+    [
+        (Shape.BOX, (1.0, 1.0, 2.0), [4.0, 0.0, 0.0], 2 * (1 + 4) / 12),
+        (Shape.SPHERE, (1.0, 1.0, 1.0), [0.0, 4.0, 0.0], 2 / 10),
+        (Shape.CYLINDER, (1.0, 1.0, 2.0), [0.0, 0.0, 4.0], 2 / 8),
+        (Shape.CYLINDER, (1.0, 1.0, 2.0), [4.0, 0.0, 0.0], 2 / 16 + 2 * 4 / 12),
+    ],
+)
+def test_energy_by_hand(shape: Shape, size_m: Vector, angular: list[float], moment: float) -> None:
+    scene, trajectory = moving(shape, size_m, angular)
+    kinetic = 0.5 * 2 * 3**2 + 0.5 * moment * 4**2
+    np.testing.assert_allclose(energy(scene, trajectory), [kinetic, kinetic + 2 * 10 * 1, 0.0])
+    np.testing.assert_allclose(largest_gain(scene, trajectory), 20 / max(kinetic, 10))
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_energy_never_grows(name: str, simulator: Simulator) -> None:
+    scenario = tiny_spec(name).scenario
+    for pair in range(6):
+        for experiment in scenario.twin_pair(SCENARIOS[name], data_seed=0, pair=pair, simulator=simulator):
+            counterfactual = experiment.do_operation.apply(experiment.scene)
+            assert largest_gain(experiment.scene, experiment.observed) <= 0.01
+            assert largest_gain(counterfactual, experiment.counterfactual) <= 0.01
+
+
+def test_balls_that_gain_energy_are_not_kept(scenario_of: Callable[..., Scenario], simulator: Simulator) -> None:
+    """Without the limit, an impact in one of the observed sequences of pair 3 gains 4 %."""
+    gains = []
+    for limit in (1.0, 0.01):
+        scenario = scenario_of("balls", f"scenario.max_energy_gain={limit}")
+        twins = scenario.twin_pair(4, data_seed=0, pair=3, simulator=simulator)
+        gains.append(max(largest_gain(twin.scene, twin.observed) for twin in twins))
+    assert gains[0] > 0.03
+    assert gains[1] <= 0.01

@@ -1,0 +1,128 @@
+"""Twin pairs of all three scenarios, on the tiny datasets and from scratch."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cophy.dataset.store.experiment_arrays import to_arrays
+from cophy.dataset.store.states import States
+from cophy.scenario import Scenario, Simulator
+from tests.conftest import SCENARIOS, tiny_spec
+
+
+def pairs(arrays: dict, name: str) -> tuple[np.ndarray, np.ndarray]:
+    return arrays[name][::2], arrays[name][1::2]
+
+
+def test_twins_share_everything_but_the_confounders(tiny) -> None:
+    _, arrays = tiny
+    for name in (
+        "twin",
+        "shape",
+        "object_index",
+        "do_operation",
+        "do_slot",
+        "do_offset",
+        "background_seed",
+        "presence",
+        "split",
+    ):
+        np.testing.assert_array_equal(*pairs(arrays, name))
+    first, second = pairs(arrays, "states")
+    np.testing.assert_array_equal(first[:, :, 0], second[:, :, 0])  # A, C and every initial velocity
+    assert (np.diff(pairs(arrays, "configuration"), axis=0) != 0).all()
+
+
+def test_observed_and_counterfactual_share_confounders_and_velocities(tiny) -> None:
+    _, arrays = tiny
+    both = arrays["presence"].all(axis=1)
+    a, c = (arrays["states"][:, sequence, 0][both] for sequence in (0, 1))
+    np.testing.assert_array_equal(a[:, 3:], c[:, 3:])
+
+
+def test_the_do_operation_is_all_that_tells_c_from_a(tiny) -> None:
+    spec, arrays = tiny
+    for row in range(len(arrays["twin"])):
+        a, c = arrays["states"][row, :, 0, :, :3]
+        slot, removed = arrays["do_slot"][row], not arrays["presence"][row, 1, arrays["do_slot"][row]]
+        assert removed == spec.scenario.do_operations[arrays["do_operation"][row]].startswith("remove")
+        if removed:
+            assert not c[slot].any()
+        else:
+            np.testing.assert_allclose(c[slot] - a[slot], arrays["do_offset"][row], atol=1e-6)
+        others = np.arange(len(a)) != slot
+        np.testing.assert_array_equal(a[others], c[others])
+
+
+def test_both_outcomes_tell_the_twins_apart(tiny) -> None:
+    spec, arrays = tiny
+    first, second = pairs(arrays, "states")
+    distance = np.linalg.norm(first[..., :3] - second[..., :3], axis=-1).mean(axis=2).max(axis=-1)
+    assert (distance >= spec.scenario.min_difference - 1e-4).all()
+
+
+def test_cells_are_level(tiny) -> None:
+    spec, arrays = tiny
+    counts = np.bincount(arrays["cell"], minlength=len(spec.scenario.cells()))
+    assert np.ptp(counts) == 0
+
+
+def test_empty_slots_are_zero(tiny) -> None:
+    _, arrays = tiny
+    absent = ~arrays["presence"][:, 0]
+    assert not arrays["mass"][absent].any()
+    assert not arrays["states"][:, 0].swapaxes(1, 2)[absent].any()
+    assert (arrays["object_index"] >= 0).sum() == (~absent).sum()
+
+
+def test_other_numbers_of_objects_are_other_scenes(simulator: Simulator, scenario_of) -> None:
+    """Else a model trained on four balls would meet balls of its training set where it is tested on two."""
+    balls = scenario_of("balls")
+    positions = [
+        {body.position for body in balls.twin_pair(count, data_seed=0, pair=0, simulator=simulator)[0].scene.objects}
+        for count in (3, 4)
+    ]
+    assert not positions[0] & positions[1]
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_an_experiment_is_a_pure_function_of_seed_and_index(name: str, tiny_data: Path) -> None:
+    spec = tiny_spec(name)
+    with Simulator() as simulator:
+        later = spec.scenario.twin_pair(spec.num_objects, data_seed=spec.data_seed, pair=1, simulator=simulator)
+        earlier = spec.scenario.twin_pair(spec.num_objects, data_seed=spec.data_seed, pair=0, simulator=simulator)
+    stored = States(spec, tiny_data).load()
+    arrays = to_arrays([*earlier, *later], range(4), spec)
+    for array, expected in ((arrays[key], stored[key]) for key in stored):
+        np.testing.assert_array_equal(array[:4], expected[:4])
+
+
+@pytest.mark.parametrize(("name", "num_objects"), [("blocktower", 4), ("balls", 2), ("balls", 6)])
+def test_other_numbers_of_objects_are_generated_too(name: str, num_objects: int, simulator: Simulator) -> None:
+    spec = tiny_spec(name, num_objects)
+    first, second = spec.scenario.twin_pair(num_objects, data_seed=3, pair=5, simulator=simulator)
+    assert first.observed.presence.sum() == num_objects
+    assert first.configuration != second.configuration
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_do_operation_says_its_kind(name: str, scenario_of, simulator: Simulator) -> None:
+    scenario: Scenario = scenario_of(name)
+    for pair in (0, 2 * len(scenario.cells())):  # of two blocks
+        expected = scenario.do_operations[scenario.assignment(SCENARIOS[name], data_seed=0, pair=pair).do_operation]
+        twins = scenario.twin_pair(SCENARIOS[name], data_seed=0, pair=pair, simulator=simulator)
+        assert [twin.do_operation.kind for twin in twins] == [expected, expected]
+
+
+def test_a_scenario_says_what_only_some_have(scenario_of) -> None:
+    towers, balls, collision = (scenario_of(name) for name in SCENARIOS)
+    assert towers.statics.block_size == towers.object_size_m
+    assert balls.statics is None
+    assert [towers.sight_extent_m, balls.sight_extent_m, collision.sight_extent_m] == [
+        None,
+        balls.extent,
+        collision.extent,
+    ]
+    assert [s.shape_from_positions.name for s in (towers, balls, collision)] == ["BOX", "SPHERE", "SPHERE"]
+    assert [s.shapes_of_cell(0) is None for s in (towers, balls, collision)] == [True, True, False]

@@ -1,0 +1,32 @@
+"""Means over experiments, and how sure they are."""
+
+import numpy as np
+import pytest
+
+from cophy.bootstrap import interval, mean
+
+
+def test_experiments_that_do_not_count_are_left_out() -> None:
+    assert mean(np.array([1.0, np.nan, 3.0])) == 2.0
+
+
+def test_the_interval_covers_the_mean_as_often_as_it_says() -> None:
+    """Also where twins err alike: it is over pairs."""
+    rng = np.random.default_rng(0)
+    for alike in (1, 2):
+        samples = (np.repeat(rng.exponential(1.0, 200 // alike), alike) for _ in range(300))
+        covered = [low <= 1.0 <= high for low, high in (interval(sample, np.arange(200) // 2) for sample in samples)]
+        assert 0.90 <= np.mean(covered) <= 0.97
+
+
+def test_the_interval_leaves_out_what_does_not_count() -> None:
+    values = np.random.default_rng(0).normal(size=400)
+    holes = np.concatenate([values, np.full(40, np.nan)])
+    pairs = np.arange(440) // 2
+    assert interval(holes, pairs) == pytest.approx(interval(values, pairs[:400]))
+
+
+def test_items_of_a_pair_are_resampled_together_however_many_there_are() -> None:
+    pairs = np.array([0, 0, 0, 7, 7])
+    assert interval(np.array([1.0, 1.0, 1.0, 2.0, 2.0]), pairs) == (1.0, 2.0)
+    assert interval(np.array([1.0, 2.0, 3.0]), np.zeros(3, dtype=int)) == (2.0, 2.0)

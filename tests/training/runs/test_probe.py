@@ -1,0 +1,46 @@
+"""The confounder probe."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from cophy.training.runs.probe import Probed, probe
+from cophy.types import Targets
+
+
+def labelled(count: int, seed: int) -> Probed:
+    """U that gives the mass away and says nothing about friction; the second of two slots is empty every other time."""
+    generator = torch.Generator().manual_seed(seed)
+    classes = torch.randint(0, 2, (count, 2, 2), generator=generator)
+    presence = torch.ones(count, 2, dtype=torch.bool)
+    presence[::2, 1] = False
+    noise = torch.randn(count, 2, 4, generator=generator)
+    estimate = noise + 20 * classes[..., :1] * torch.tensor([1.0, 0, 0, 0])
+    targets = Targets(
+        position=torch.zeros(count, 1, 2, 3),
+        stable=torch.zeros(count, 1, 2, dtype=torch.bool),
+        presence=presence,
+        initial=torch.zeros(count, 2, 3),
+        observed_presence=presence,
+        confounder_class=classes,
+    )
+    return Probed(torch.where(presence[..., None], estimate, 1e6), targets)
+
+
+def test_the_probe_finds_what_is_there_and_nothing_else() -> None:
+    values = {name: value.mean() for name, value in probe(labelled(2000, 0), labelled(2000, 1)).items()}
+    assert values["probe_mass_accuracy"] == 1.0
+    assert values["probe_friction_accuracy"] == pytest.approx(0.5, abs=0.04)
+    assert values["probe_accuracy"] == pytest.approx(0.5, abs=0.04)
+    assert values["probe_chance"] == pytest.approx(0.25, abs=0.03)
+
+
+def test_the_probe_of_a_constant_is_right() -> None:
+    def constant(probed: Probed) -> Probed:
+        classes = probed.targets.confounder_class * torch.tensor([1, 0])
+        return probed._replace(targets=replace(probed.targets, confounder_class=classes))
+
+    values = probe(constant(labelled(200, 0)), constant(labelled(200, 1)))
+    assert values["probe_friction_accuracy"].mean() == 1.0
+    assert values["probe_mass_accuracy"].mean() == 1.0

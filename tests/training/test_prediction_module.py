@@ -1,0 +1,89 @@
+"""What a network is given, and what it has to return."""
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from cophy.app.composition import settings
+from cophy.errors import CophyError
+from cophy.models.baselines import CopyC
+from cophy.training.prediction_module import PredictionModule
+from cophy.types import Batch, Inputs, Prediction
+
+
+def module_of(
+    network: nn.Module, *overrides: str, missed: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> PredictionModule:
+    chosen = settings("train", "scenario=blocktower", *overrides)
+    return PredictionModule(
+        network, chosen.training, chosen.scenario, symmetries=np.eye(2)[None], missed_position=torch.tensor(missed)
+    )
+
+
+class Returning(nn.Module):
+    """Returns what a function makes of the inputs."""
+
+    def __init__(self, function: Callable[[Inputs], Any]) -> None:
+        super().__init__()
+        self.function = function
+
+    def forward(self, inputs: Inputs) -> Any:
+        return self.function(inputs)
+
+
+WRONG = {
+    "a tensor": lambda inputs: inputs.observed,
+    "a frame too many": lambda inputs: Prediction(inputs.observed),
+    "one step for all": lambda inputs: Prediction(inputs.observed[:, :1]),
+    "another number of slots": lambda inputs: Prediction(inputs.observed[:, 1:, :2]),
+    "an estimate of another width": lambda inputs: Prediction(inputs.observed[:, 1:], None, inputs.initial),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_prediction_is_refused_in_one_line(wrong: str, tower_batch: Batch) -> None:
+    network = Returning(WRONG[wrong])
+    network.estimate_dim = 8 if "width" in wrong else 0
+    with pytest.raises(CophyError, match="Returning returns"):
+        module_of(network)(tower_batch)
+
+
+def test_a_network_is_given_inputs_and_nothing_of_d(tower_batch: Batch) -> None:
+    seen = []
+    module_of(Returning(lambda inputs: seen.append(inputs) or CopyC()(inputs)))(tower_batch)
+    assert seen == [tower_batch.inputs]
+    names = {field.name for field in fields(Inputs)}
+    assert names == {"observed", "observed_presence", "observed_stable", "initial", "presence", "confounders"}
+
+
+def test_a_prediction_that_is_not_finite_stops_the_training(
+    tower_batch: Batch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = module_of(Returning(lambda inputs: Prediction(inputs.observed[:, 1:] * torch.nan)))
+    monkeypatch.setattr(module, "log_dict", lambda *_, **__: None)  # there is no trainer
+    with pytest.raises(CophyError, match="Returning predicts what is not finite"):
+        module.validation_step(tower_batch)
+
+
+def test_a_promised_estimate_is_asked_for(tower_batch: Batch) -> None:
+    class Promising(CopyC):
+        estimate_dim = 8
+
+    with pytest.raises(CophyError, match="Promising has an estimate_dim, but returns no confounder_estimate"):
+        module_of(Promising(), "ablation=supervised_confounders")(tower_batch)
+
+
+def test_a_missed_object_counts_as_predicted_at_the_mean_of_training(tower_batch: Batch) -> None:
+    module = module_of(CopyC(), missed=(1.0, 2.0, 3.0))
+    presence = tower_batch.inputs.presence.clone()
+    presence[:, 2] = False
+    position = module(replace(tower_batch, inputs=replace(tower_batch.inputs, presence=presence))).position
+    missed = tower_batch.targets.presence[:, 2]
+    assert missed.any()
+    assert (position[missed][:, :, 2] == torch.tensor([1.0, 2.0, 3.0])).all()
+    torch.testing.assert_close(position[:, :, 1], tower_batch.inputs.initial[:, None, 1].expand(-1, 29, -1))
