@@ -57,7 +57,13 @@ def measure(scenario: Scenario, num_objects: int) -> dict[str, tuple[float, floa
 
 
 def one_shard(name: str, num_objects: int, count: int) -> Size:
-    """A size of so many experiments, in one file."""
+    """A size of one dataset in one file.
+
+    Args:
+        name: Of the scenario.
+        num_objects: In every experiment.
+        count: Experiments.
+    """
     return Size("measured", count, {name: {str(num_objects): count}})
 
 

@@ -72,7 +72,13 @@ def main(run: Path, data_dir: Path) -> None:
 
 
 def probes(network: nn.Module, train: Batch, test: Batch) -> Table:
-    """Accuracies in %, for all towers and for those whose A falls or stands."""
+    """Accuracies in %, for all towers and for those whose A falls or stands.
+
+    Args:
+        network: From `Inputs` to `Prediction`, with an estimate U.
+        train: What the classifiers are fitted on.
+        test: What they are scored on.
+    """
     table = Table("classifier", "sees", "A", "test blocks", "mass, %", "friction, %", "both (4-way), %")
     parts = [_from_bottom_to_top(network, batch) for batch in (train, test)]
     kinds = (("linear", False), ("trees", False), ("trees", True))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from cophy.scenario import Shape
+from cophy.scenario.physics.orientation import x_axis, z_axis
 
 Arrays = dict[str, np.ndarray]
 
@@ -12,14 +13,9 @@ def visible_axis(quaternion_xyzw: np.ndarray, shape: np.ndarray) -> np.ndarray:
 
     quaternion_xyzw: (experiment, slot, 4). shape: (experiment, slot), codes of `Shape`. Zero for spheres and empty slots.
     """
-    from scipy.spatial.transform import Rotation  # here: half a second that every command would spend at its start
-
-    axis = np.zeros((*shape.shape, 3))
-    for kind, own_axis in ((Shape.CYLINDER, (0.0, 0.0, 1.0)), (Shape.BOX, (1.0, 0.0, 0.0))):
-        if (shape == kind).any():
-            axis[shape == kind] = Rotation.from_quat(quaternion_xyzw[shape == kind]).apply(own_axis)
-    axis[(shape == Shape.CYLINDER) & (axis[..., 0] < 0)] *= -1
-    return axis
+    along_x, along_z, kind = x_axis(quaternion_xyzw), z_axis(quaternion_xyzw), shape[..., None]
+    unsigned = np.where(along_z[..., :1] < 0, -along_z, along_z)
+    return np.where(kind == Shape.CYLINDER, unsigned, np.where(kind == Shape.BOX, along_x, 0.0))
 
 
 def stable_frames(states: np.ndarray, stride: int, stable_speed: float) -> np.ndarray:

@@ -4,34 +4,46 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from cophy.models.layers.mlp import mlp
 from cophy.models.options import Readout
 
-LOOKS = 15  # features of an object's looks
+NUM_APPEARANCE_FEATURES = 15  # of an object, where it is seen
 
 
 class Derendered(NamedTuple):
-    """What is seen in a frame. position: (B, K, 3) metres; presence_logit: (B, K), positive means present."""
+    """What is seen in a frame.
 
-    position: Tensor
-    presence_logit: Tensor
+    Attributes:
+        position: Metres; values in slots without an object mean nothing.
+        presence_logit: Positive means present.
+    """
+
+    position: Float[Tensor, "batch slots 3"]
+    presence_logit: Float[Tensor, "batch slots"]
 
 
 class Derenderer(nn.Module):
     """Three double convolutions with max-pooling between, then a head per slot on its own share of the channels.
 
-    slots: names of the K slots. resolution: edge of the images in pixels, a multiple of 4 (paper: 224). width: channels of
-    the first double convolution (paper: 64), of which the second has twice and the third four times as many, rounded up to
-    a multiple of K. readout: how the heads find positions, see `options`. Presence is ours: the paper's removals need it.
-    Positions leave the network scaled by `scale_`.
+    Presence is ours: do-operations of the paper remove objects, and its de-renderer does not say so.
     """
 
-    mean: Tensor
-    deviation: Tensor
+    mean: Float[Tensor, "3"]
+    deviation: Float[Tensor, "3"]
 
     def __init__(self, *, slots: Sequence[str], resolution: int, width: int, readout: str) -> None:
+        """Build the network.
+
+        Args:
+            slots: Names of the K slots.
+            resolution: Edge of the images in pixels, a multiple of 4 (paper: 224).
+            width: Channels of the first double convolution (paper: 64). The second has twice as many, the third four
+                times as many, rounded up to a multiple of K.
+            readout: How the heads find positions: a value of `Readout`.
+        """
         super().__init__()
         num_slots, self.resolution = len(slots), resolution
         channels = -(-4 * width // num_slots) * num_slots
@@ -47,13 +59,16 @@ class Derenderer(nn.Module):
         self.register_buffer("mean", torch.zeros(3))
         self.register_buffer("deviation", torch.ones(3))
 
-    def scale_(self, mean: Tensor, deviation: Tensor) -> None:
-        """Mean and standard deviation (3,) of the positions, in metres, over the training frames."""
+    def scale_(self, mean: Float[Tensor, "3"], deviation: Float[Tensor, "3"]) -> None:
+        """Set the mean and standard deviation of positions over the training frames, metres.
+
+        The heads learn positions in units of this spread.
+        """
         self.mean.copy_(mean)
         self.deviation.copy_(deviation)
 
-    def forward(self, image: Tensor) -> Derendered:
-        """(B, 3, R, R) in [0, 1] -> positions and presence."""
+    def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Derendered:
+        """Find positions and presence in images with values in [0, 1]."""
         # on a CPU channels last saves half to two thirds of the time
         centred = (image - 0.5).contiguous(memory_format=torch.channels_last)
         found = self.heads(self.features(centred))
@@ -69,37 +84,44 @@ class LinearReadout(nn.Module):
         self.weight = nn.Parameter(torch.randn(num_slots, edge**2, 4) / edge)
         self.bias = nn.Parameter(torch.zeros(num_slots, 4))
 
-    def forward(self, features: Tensor) -> Tensor:
-        """(B, channels, edge, edge) -> (B, K, 4)."""
+    def forward(self, features: Float[Tensor, "batch channels edge edge"]) -> Float[Tensor, "batch slots 4"]:
+        """Scaled position, and presence, of every slot."""
         return torch.einsum("bkp,kpf->bkf", self.maps(features).flatten(start_dim=2), self.weight) + self.bias
 
 
 class AttentionReadout(nn.Module):
     """A head says where in the picture its object is, by a softmax over places, and what it looks like there.
 
-    From both, an MLP finds position and presence; all slots share it, as all are seen by the same camera.
+    From both, an MLP finds position and presence. All slots share it, as all are seen by the same camera.
     """
 
-    coordinates: Tensor
+    coordinates: Float[Tensor, "places 2"]
 
     def __init__(self, channels: int, num_slots: int, edge: int) -> None:
         super().__init__()
-        self.looks = nn.Sequential(
+        self.maps = nn.Sequential(
             *_convolution(channels, channels, groups=num_slots),
-            nn.Conv2d(channels, num_slots * (1 + LOOKS), kernel_size=3, padding=1, groups=num_slots, bias=False),
+            nn.Conv2d(
+                channels,
+                num_slots * (1 + NUM_APPEARANCE_FEATURES),
+                kernel_size=3,
+                padding=1,
+                groups=num_slots,
+                bias=False,
+            ),
         )
         self.normalise = nn.BatchNorm1d(num_slots, affine=False)
         self.sharpness = nn.Parameter(torch.full((num_slots, 1), 3.0))
-        self.geometry = mlp(LOOKS + 2, 64, 3, output_dim=4)
+        self.geometry = mlp(NUM_APPEARANCE_FEATURES + 2, 64, 3, output_dim=4)
         along = torch.linspace(-5, 5, edge)  # objects then spread by about one
         self.register_buffer("coordinates", torch.cartesian_prod(along, along), persistent=False)
 
-    def forward(self, features: Tensor) -> Tensor:
-        """(B, channels, edge, edge) -> (B, K, 4)."""
-        looks = self.looks(features).flatten(start_dim=2).unflatten(1, (len(self.sharpness), 1 + LOOKS))
-        attention = torch.softmax(self.sharpness * self.normalise(looks[:, :, 0]), dim=-1)
+    def forward(self, features: Float[Tensor, "batch channels edge edge"]) -> Float[Tensor, "batch slots 4"]:
+        """Scaled position, and presence, of every slot."""
+        maps = self.maps(features).flatten(start_dim=2).unflatten(1, (len(self.sharpness), 1 + NUM_APPEARANCE_FEATURES))
+        attention = torch.softmax(self.sharpness * self.normalise(maps[:, :, 0]), dim=-1)
         where = attention @ self.coordinates
-        what = torch.einsum("bkp,bkfp->bkf", attention, looks[:, :, 1:])
+        what = torch.einsum("bkp,bkfp->bkf", attention, maps[:, :, 1:])
         return self.geometry(torch.cat([where, what], dim=-1))
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cophy.scenario.physics.orientation import z_axis
 from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
 
 MIN_START_ENERGY_J = 10.0  # gains of what starts with less, a standing tower for one, are shares of this: 1 kg at 1 m
@@ -9,13 +10,10 @@ MIN_START_ENERGY_J = 10.0  # gains of what starts with less, a standing tower fo
 
 def energy(scene: Scene, trajectory: Trajectory) -> np.ndarray:
     """(time,) kinetic and potential energy in J of the scene's objects, above its lowest value."""
-    from scipy.spatial.transform import Rotation  # here: half a second that every command would spend at its start
-
     total = np.zeros(len(trajectory.states))
     for body in scene.objects:
         position, quaternion, linear, angular = np.split(trajectory.states[:, body.slot], [3, 7, 10], axis=-1)
-        axis = Rotation.from_quat(quaternion).apply((0.0, 0.0, 1.0))
-        along = (angular * axis).sum(axis=-1) ** 2
+        along = (angular * z_axis(quaternion)).sum(axis=-1) ** 2
         across = (angular**2).sum(axis=-1) - along
         about, through = _moments_per_mass(body)
         kinetic = 0.5 * ((linear**2).sum(axis=-1) + about * along + through * across)
