@@ -20,7 +20,7 @@ Nodes = dict[int, Tensor]  # slot of a present object -> its features
 def edge_function(f: PairwiseMLP, receiver: Tensor, sender: Tensor) -> Tensor:
     """f as one MLP on a receiver and a sender side by side."""
     weight = torch.cat([f.receiver.weight, f.sender.weight], dim=1)
-    first = linear(torch.cat([receiver, sender]), weight, f.receiver.bias)
+    first = torch.relu(linear(torch.cat([receiver, sender]), weight, f.receiver.bias))
     return f.further(first)
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import h5py
 import hdf5plugin
 import numpy as np
-from scipy import ndimage
 
 from cophy.dataset import generation
 from cophy.dataset.store.experiment_set import Clip, ExperimentSet, Reader
@@ -132,10 +131,12 @@ def _field(shape: tuple[int, ...], dtype: str) -> Field:
 
 def bounding_boxes(frames: Frames, num_slots: int) -> np.ndarray:
     """(T, slot, 4) int16: x1, y1, x2, y2 of the pixels of each slot's object, inclusive; -1 where it is not seen."""
+    from scipy.ndimage import find_objects  # here: a third of a second that every command would spend at its start
+
     boxes = np.full((len(frames.segmentation), num_slots, 4), -1, dtype=np.int16)
     labels = frames.segmentation + np.uint8(1)  # 0 is background: NO_OBJECT, the largest uint8, wraps around to it
     for time, frame in enumerate(labels):
-        for slot, found in enumerate(ndimage.find_objects(frame, max_label=num_slots)):
+        for slot, found in enumerate(find_objects(frame, max_label=num_slots)):
             if found is not None:
                 rows, columns = found
                 boxes[time, slot] = (columns.start, rows.start, columns.stop - 1, rows.stop - 1)

@@ -1,7 +1,5 @@
 """Graph convolution over all pairs of present objects (paper Eq. 1)."""
 
-from itertools import chain
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -50,15 +48,15 @@ class PairwiseMLP(nn.Module):
         Args:
             input_dim: Features of an object.
             hidden_dim: Width of all layers, and features of a message.
-            layers: Linear layers, with ReLU between them.
+            layers: Linear layers, at least 2, with ReLU between them.
         """
         super().__init__()
         self.receiver = nn.Linear(input_dim, hidden_dim)
         self.sender = nn.Linear(input_dim, hidden_dim, bias=False)
-        self.further = nn.Sequential(
-            *chain(*((nn.ReLU(), nn.Linear(hidden_dim, hidden_dim)) for _ in range(layers - 1)))
-        )
+        self.further = mlp(hidden_dim, hidden_dim, layers - 1, inplace=True)
 
     def forward(self, nodes: Float[Tensor, "batch slots input"]) -> Float[Tensor, "batch others slots hidden"]:
         """The message that each slot gets from each of the others."""
-        return self.further(self.receiver(nodes)[:, None] + others(self.sender(nodes)))
+        first = torch.relu(self.receiver(nodes)[:, None] + others(self.sender(nodes)))
+        pairs = first.flatten(0, 2)  # one row per pair: only so can ReLU work in place
+        return self.further(pairs).view_as(first)
