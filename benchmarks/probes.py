@@ -30,8 +30,8 @@ from cophy.app.composition import settings
 from cophy.app.registration import SCENARIOS, register
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.source import generated_sets
-from cophy.training.metrics import mean_squared_error
-from cophy.training.runs.probe import estimate
+from cophy.training.measures.metrics import mean_squared_error
+from cophy.training.measures.probe import estimate
 from cophy.training.trained.trained_predictor import TrainedPredictor
 from cophy.types import Batch
 

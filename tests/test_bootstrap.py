@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cophy.bootstrap import interval, mean
+from cophy.bootstrap import Ratio, interval, mean
 
 
 def test_experiments_that_do_not_count_are_left_out() -> None:
@@ -30,3 +30,14 @@ def test_items_of_a_pair_are_resampled_together_however_many_there_are() -> None
     pairs = np.array([0, 0, 0, 7, 7])
     assert interval(np.array([1.0, 1.0, 1.0, 2.0, 2.0]), pairs) == (1.0, 2.0)
     assert interval(np.array([1.0, 2.0, 3.0]), np.zeros(3, dtype=int)) == (2.0, 2.0)
+
+
+def test_a_ratio_is_of_sums_and_its_interval_covers_it() -> None:
+    rng, truth, covered = np.random.default_rng(0), 0.25, []
+    for _ in range(200):
+        size = rng.exponential(1.0, 150)
+        ratio = Ratio(size * rng.choice([0.0, 0.5], 150), size)
+        low, high = interval(ratio, np.arange(150))
+        covered.append(low <= truth <= high)
+    assert mean(Ratio(np.array([1.0, 3.0]), np.array([2.0, 8.0]))) == 0.4
+    assert 0.89 <= np.mean(covered) <= 0.98

@@ -81,6 +81,7 @@ class Targets:
         initial: True positions in C, metres.
         observed_presence: Which slots truly hold an object in AB.
         confounder_class: Index of the mass, and of the friction, among the values of the scenario's grid.
+        pair: The twin pair that an experiment is of; twins have the same. Released experiments have one each.
     """
 
     position: Float[Tensor, "batch steps slots 3"]
@@ -89,6 +90,7 @@ class Targets:
     initial: Float[Tensor, "batch slots 3"]
     observed_presence: Bool[Tensor, "batch slots"]
     confounder_class: Int[Tensor, "batch slots 2"]
+    pair: Int[Tensor, "batch"]
 
     def __len__(self) -> int:
         return len(self.initial)

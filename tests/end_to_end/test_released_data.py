@@ -115,7 +115,7 @@ def test_confounders_that_nobody_knows_are_not_given(tmp_path: Path, needed: boo
     else:
         data.setup()
         assert not data.knows_confounders
-        assert data.test_pairs.tolist() == [36, 37, 38, 39]  # each its own, for the bootstrap
+        assert data.test.batch.targets.pair.tolist() == [36, 37, 38, 39]  # each its own, for the bootstrap
 
 
 def test_the_audit_says_what_holds_and_what_does_not_apply(tree: CoPhyTree, tmp_path: Path) -> None:

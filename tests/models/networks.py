@@ -45,5 +45,6 @@ def random_batch(num_slots: int, num_objects: list[int], num_frames: int = 30) -
         initial=inputs.initial,
         observed_presence=observed_presence,
         confounder_class=torch.zeros(size, num_slots, 2, dtype=torch.long),
+        pair=torch.arange(size) // 2,
     )
     return Batch(inputs, targets)

@@ -15,7 +15,7 @@ from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.store.states import States
 from cophy.report.difficulty_page import draw, page
 from cophy.report.mse_by_difficulty import ALL, WORDS, groups, mse_by_difficulty
-from cophy.training.runs.evaluation import evaluate
+from cophy.training.measures.evaluation import evaluate
 from cophy.training.runs.results import write_predictions
 from cophy.types import Prediction
 from tests.conftest import tiny_spec

@@ -14,7 +14,7 @@ from cophy.dataset.feed.batches import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
 from cophy.report.figures import row_name
-from cophy.training.metrics import mean_squared_error
+from cophy.training.measures.metrics import mean_squared_error
 from cophy.training.runs.results import read_predictions
 from cophy.types import Prediction, Targets
 

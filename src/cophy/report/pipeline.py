@@ -19,6 +19,7 @@ from cophy.report.tables import table_formats
 from cophy.report.tables.filled_tables import FilledTable, fill
 from cophy.report.tables.paper_tables import paper_tables
 from cophy.report.tables.run_table import read_runs, summary
+from cophy.report.tables.twin_table import CAPTION, twin_tables
 from cophy.scenario import Scenario
 
 log = logging.getLogger(__name__)
@@ -77,6 +78,7 @@ def _write_tables(directory: Path, filled: list[FilledTable], runs: pd.DataFrame
         table_formats.show("Everything that was run", everything[shown], caption)
     written = {
         "tables.md": "\n".join(map(table_formats.markdown, filled))
+        + _twins(runs)
         + f"\n## Everything that was run\n\n{everything.to_markdown(index=False)}\n",
         "tables.tex": "\n".join(map(table_formats.latex, filled)),
         "runs.csv": runs.to_csv(index=False),
@@ -84,6 +86,15 @@ def _write_tables(directory: Path, filled: list[FilledTable], runs: pd.DataFrame
     }
     for name, text in written.items():
         write_atomically(directory / name, text.encode())
+
+
+def _twins(runs: pd.DataFrame) -> str:
+    """What predictions tell of twins: printed, and as sections of Markdown."""
+    sections = []
+    for title, table in twin_tables(runs).items():
+        table_formats.show(title, table.T.reset_index(names=""), CAPTION)
+        sections.append(f"\n## {title}\n\n{table.to_markdown()}\n\n{CAPTION}\n")
+    return "".join(sections)
 
 
 def _write_difficulty(

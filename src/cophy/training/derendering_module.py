@@ -13,7 +13,7 @@ from torchmetrics import MetricCollection
 
 from cophy.dataset.feed.frame_dataset import FrameBatch
 from cophy.models.derenderer import Derendered, Derenderer
-from cophy.training.metrics import PerExperiment, collection, over_objects
+from cophy.training.measures.metrics import PerExperiment, collection, over_objects
 from cophy.training.optimisation import adam_with_cosine
 from cophy.training.settings import Training
 

@@ -14,7 +14,8 @@ from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.training.augmentation import augment
 from cophy.training.losses import confounder_loss, position_loss, stability_loss
-from cophy.training.metrics import collection, position_measures, stability_measures
+from cophy.training.measures.metrics import collection, position_measures, stability_measures
+from cophy.training.measures.twin_metrics import have_twins, twin_collection
 from cophy.training.model_contract import NOT_FINITE, check_shapes, estimate_dim
 from cophy.training.optimisation import adam_with_cosine
 from cophy.training.settings import Training
@@ -59,6 +60,7 @@ class PredictionModule(L.LightningModule):
         self.metrics = nn.ModuleDict(
             {f"in_{s}_{kind}": collection(m, f"{s}/") for s in ("train", "val") for kind, m in measures.items()}
         )
+        self.metrics["in_val_twins"] = twin_collection(scenario.task.metric_dims, "val/")  # in training, twins part
 
     def forward(self, batch: Batch) -> Prediction:
         """Predict D; only `batch.inputs` reaches the network."""
@@ -114,6 +116,8 @@ class PredictionModule(L.LightningModule):
 
     def _measure(self, split: str, prediction: Prediction, batch: Batch) -> None:
         kinds = ["position"] if prediction.stable_logit is None else ["position", "stability"]
+        if split == "val" and have_twins(batch.targets.pair):
+            kinds.append("twins")
         for kind in kinds:
             metrics = self.metrics[f"in_{split}_{kind}"]
             assert isinstance(metrics, MetricCollection)

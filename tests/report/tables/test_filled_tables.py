@@ -58,10 +58,28 @@ def test_seeds_are_averaged_and_a_failed_one_is_counted() -> None:
     failed = pd.DataFrame([run("cophynet", seed=3, error="boom"), run("npe", error="boom")])
     failed = failed.drop(columns=["num_train", "num_test", "epochs"])  # which a run has once it is done
     filled = fill(TABLES["blocktower"], pd.concat([runs, failed]))
-    assert filled.cells().loc["3→3", "CoPhyNet"] == "0.200 ± 0.100 (1 failed) / 0.294"
+    assert filled.cells().loc["3→3", "CoPhyNet"] == "0.200 ± 0.100 [0.190, 0.220] (1 failed) / 0.294"
     assert filled.cells().loc["3→3", "NPE"] == "failed / 0.331"
     assert "seeds 0, 1, 2" in filled.caption
     assert "2800 training and 400 test experiments; 40 epochs" in filled.caption
+
+
+def test_a_cell_averages_no_runs_of_different_lengths_or_sizes() -> None:
+    runs = [
+        measured("mse", 0.1, "cophynet", epochs=120),
+        measured("mse", 0.3, "cophynet", seed=1, epochs=40),
+        measured("mse", 0.9, "cophynet", seed=2, epochs=400, num_train=280, size="tiny"),
+    ]
+    filled = fill(TABLES["blocktower"], pd.DataFrame(runs))
+    assert filled.cells().loc["3→3", "CoPhyNet"] == "0.100 [0.090, 0.120] / 0.294"
+    assert "120 epochs; seeds 0." in filled.caption
+
+
+def test_a_caption_says_which_positions_were_tested() -> None:
+    runs = pd.DataFrame([measured("mse", 0.1, "cophynet")])
+    assert "Tested on true positions." in fill(TABLES["blocktower"], runs).caption
+    estimated = runs.assign(positions="train_ground_truth_test_derendered")
+    assert "Tested on positions estimated" in fill(TABLES["blocktower_derendered"], estimated).caption
 
 
 def test_estimated_positions_fill_tables_of_their_own_and_name_the_derenderer() -> None:

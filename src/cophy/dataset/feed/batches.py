@@ -36,6 +36,7 @@ def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
         initial=positions[:, 1, 0],
         observed_presence=observed_presence,
         confounder_class=confounder_classes(arrays, scenario.confounders),
+        pair=torch.from_numpy(arrays["twin"].astype(np.int64)),
     )
     return Batch(inputs, targets)
 

@@ -28,7 +28,6 @@ class CounterfactualDataModule(L.LightningDataModule):
 
     Attributes:
         train, val, test: The three splits, once `setup` was called.
-        test_pairs: (experiment,) the twin pair of each test experiment.
         test_experiments: (experiment,) the index of each test experiment in its dataset.
         knows_confounders: Whether the data tell all true confounders.
     """
@@ -102,7 +101,6 @@ class CounterfactualDataModule(L.LightningDataModule):
         self._add_confounders(batches, chosen)
         for split in self.estimated:
             batches[split] = with_estimates(batches[split], chosen[split], self.scenario)
-        self.test_pairs = chosen["test"]["twin"]
         self.test_experiments = np.flatnonzero(self.split.test.select_split(arrays[self.test_set.id], "test"))
         self.train, self.val, self.test = (CounterfactualDataset(batches[split]) for split in SPLITS)
 
@@ -110,10 +108,15 @@ class CounterfactualDataModule(L.LightningDataModule):
         return self.train.loader(self.batch_size, shuffle=True)
 
     def val_dataloader(self) -> DataLoader[Batch]:
-        return self.val.loader(self.batch_size, shuffle=False)
+        return self.val.loader(self._even_batch_size, shuffle=False)
 
     def test_dataloader(self) -> DataLoader[Batch]:
-        return self.test.loader(self.batch_size, shuffle=False)
+        return self.test.loader(self._even_batch_size, shuffle=False)
+
+    @property
+    def _even_batch_size(self) -> int:
+        """Twins follow each other in a dataset, and stay in one batch."""
+        return self.batch_size + self.batch_size % 2
 
     def _select(self, arrays: dict[str, Arrays], split: str) -> Arrays:
         experiments, part = self._set_of(split), self.split.test if split == "test" else self.split.train

@@ -3,5 +3,6 @@
 run_table: outputs/ as a table with one line per run
 paper_tables: the tables of the paper (paper_tables.yaml)
 filled_tables: a table of the paper with our numbers
+twin_table: what runs made of AB, without any oracle.
 table_formats: filled tables as Markdown, LaTeX and on the terminal
 """

@@ -10,6 +10,11 @@ from cophy.report.tables.paper_tables import PaperTable
 
 MISSING, FAILED = "—", "failed"
 NUMBERS = ("ours", "sd", "low", "high")
+TESTED_ON = {  # positions= -> what a caption says of it
+    "ground_truth": "Tested on true positions.",
+    "derendered": "Trained and tested on positions estimated from pictures.",
+    "train_ground_truth_test_derendered": "Tested on positions estimated from pictures.",
+}
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,8 @@ class FilledTable:
         if not value["seeds"]:
             return f"{FAILED if value['failed'] else MISSING} / {paper}"
         varies = value["seeds"] > 1 and float(number(value["sd"])) > 0  # copies are the same whatever the seed
-        spread = f"± {number(value['sd'])}" if varies else f"[{number(value['low'])}, {number(value['high'])}]"
+        deviation = f"± {number(value['sd'])} " if varies else ""
+        spread = f"{deviation}[{number(value['low'])}, {number(value['high'])}]"
         failed = f" ({value['failed']} failed)" if value["failed"] else ""
         start, end = bold if value["best"] else ("", "")
         return f"{start}{number(value['ours'])}{end} {spread}{failed} / {paper}"
@@ -99,7 +105,8 @@ def _cell(runs: pd.DataFrame, choice: dict[str, str], scale: float) -> tuple[dic
     found = found[found[metric].notna()] if metric in found else found.iloc[:0]
     if found.empty:
         return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": failed}, found
-    found = found[found["num_train"] == found["num_train"].max()]  # one size per cell
+    for kind in ("num_train", "epochs"):  # a cell averages runs of one size and one length: the largest
+        found = found[found[kind] == found[kind].max()]
     low, high = found[f"{metric}_low"].mean(), found[f"{metric}_high"].mean()
     numbers = zip(NUMBERS, (found[metric].mean(), found[metric].std(), low, high), strict=True)
     return {**{name: scale * value for name, value in numbers}, "seeds": len(found), "failed": failed}, found
@@ -141,6 +148,7 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
         ", ".join(map(str, sorted(used[name].astype(int).unique()))) for name in counts
     )
     size = ", ".join(sorted(used["size"].unique()))
+    notes.append(" ".join(TESTED_ON[positions] for positions in sorted(used["positions"].unique())))
     notes.append(f"Size {size}: {num_train} training and {num_test} test experiments; {epochs} epochs; seeds {seeds}.")
     notes.append(
         "[ ]: 95 % bootstrap interval over the twin pairs of the test split; ±: standard deviation over seeds."

@@ -7,6 +7,4 @@ oracle: the run of an oracle, which trains nothing
 execution: train (or adopt), test, write the results
 trainer: Lightning's Trainer as every run uses it
 reuse: finding a training that was the same, so that it is not done again
-evaluation: the measures of every test experiment
-probe: what U says about mass and friction (paper Table 5)
 """

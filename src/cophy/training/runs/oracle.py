@@ -9,7 +9,7 @@ import torch
 from cophy.dataset import generation
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.store.forecasts import OracleSettings
-from cophy.training.runs.evaluation import evaluate
+from cophy.training.measures.evaluation import evaluate
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import Measured, write_metrics, write_predictions
 from cophy.training.runs.trainer import tensorboard
@@ -35,7 +35,7 @@ def carry_out_oracle(
         The mean of every measure on the test split.
     """
     prediction, targets = forecast(data, oracle, settings), data.test.batch.targets
-    measured = Measured(evaluate(prediction, targets, data.scenario), data.test_pairs)
+    measured = Measured(evaluate(prediction, targets, data.scenario), targets.pair.numpy())
     write_predictions(run.directory, prediction, targets)
     about = {
         "dataset_ids": data.dataset_ids,

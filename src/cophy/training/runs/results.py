@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from cophy.atomic_files import write_atomically
-from cophy.bootstrap import interval, mean
+from cophy.bootstrap import Ratio, interval, mean
 from cophy.errors import CophyError
 from cophy.training.runs.identity import Run
 from cophy.types import Prediction, Targets
@@ -19,7 +20,13 @@ from cophy.types import Prediction, Targets
 log = logging.getLogger(__name__)
 
 METRICS, PREDICTIONS, FAILURE = "metrics.json", "predictions.npz", "failure.json"
-SAID = ("mse", "final_position_error", "sequence_stability_accuracy", "probe_accuracy")  # in the log
+SAID = (
+    "mse",
+    "twin_difference_explained",
+    "right_twin_chosen",
+    "sequence_stability_accuracy",
+    "probe_accuracy",
+)  # in the log
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class Measured:
         pairs: (item,) the twin pair that it is of.
     """
 
-    values: dict[str, np.ndarray]
+    values: Mapping[str, np.ndarray | Ratio]
     pairs: np.ndarray
 
 
@@ -79,6 +86,7 @@ def write_predictions(directory: Path, prediction: Prediction, targets: Targets)
         "presence": targets.presence.numpy(),
         "target": targets.position.numpy(),
         "position": prediction.position.numpy(),
+        "pair": targets.pair.numpy(),
     }
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
@@ -90,7 +98,7 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
     path = directory / PREDICTIONS
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return {name: file[name] for name in ("initial", "presence", "target", "position")}
+            return {name: file[name] for name in ("initial", "presence", "target", "position", "pair")}
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise CophyError(f"{path} is missing or damaged ({error}): run that row again") from error
 

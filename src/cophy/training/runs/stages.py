@@ -12,10 +12,10 @@ from cophy.models.derenderer import Derenderer
 from cophy.training.augmentation import symmetries_for
 from cophy.training.callbacks import NUM_SHOWN, DerenderingFigures, PredictionFigures
 from cophy.training.derendering_module import DerenderingModule
+from cophy.training.measures.evaluation import evaluate
+from cophy.training.measures.probe import Probed, estimate, probe
 from cophy.training.prediction_module import PredictionModule
-from cophy.training.runs.evaluation import evaluate
 from cophy.training.runs.identity import Run
-from cophy.training.runs.probe import Probed, estimate, probe
 from cophy.training.runs.results import Measured, write_predictions
 from cophy.training.settings import Training
 from cophy.types import rows
@@ -88,7 +88,7 @@ def prediction_stage(
             assert fitted is not None
             values |= probe(Probed(fitted, train.targets), Probed(prediction.confounder_estimate, batch.targets))
         write_predictions(run.directory, prediction, batch.targets)
-        return Measured(values, data.test_pairs)
+        return Measured(values, batch.targets.pair.numpy())
 
     figures = PredictionFigures(rows(data.val.batch, slice(NUM_SHOWN)), scenario, figures_every_n_epochs)
     return Stage(data, module, figures, measure, data.derenderer.name if data.derenderer else None)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from cophy.training.runs.probe import Probed, probe
+from cophy.training.measures.probe import Probed, probe
 from cophy.types import Targets
 
 
@@ -24,6 +24,7 @@ def labelled(count: int, seed: int) -> Probed:
         initial=torch.zeros(count, 2, 3),
         observed_presence=presence,
         confounder_class=classes,
+        pair=torch.arange(count) // 2,
     )
     return Probed(torch.where(presence[..., None], estimate, 1e6), targets)
 

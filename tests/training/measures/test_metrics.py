@@ -7,7 +7,7 @@ import torch
 
 from cophy.scenario import Camera, Task
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
-from cophy.training.metrics import collection, pixel_measures, position_measures, stability_measures
+from cophy.training.measures.metrics import collection, pixel_measures, position_measures, stability_measures
 from cophy.types import Prediction, Targets, rows
 
 INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])
@@ -23,6 +23,7 @@ def targets() -> Targets:
         initial=INITIAL,
         observed_presence=presence,
         confounder_class=torch.tensor([[[0, 0], [1, 1]], [[9, 9], [1, 0]]]),
+        pair=torch.zeros(2, dtype=torch.long),
     )
 
 

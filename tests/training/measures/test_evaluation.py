@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from cophy.errors import CophyError
-from cophy.training.runs.evaluation import evaluate
+from cophy.training.measures.evaluation import evaluate
 from cophy.types import Batch, Prediction
 
 

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cophy.training.metrics import over_objects
+from cophy.training.measures.metrics import over_objects
 from cophy.types import Inputs, Targets, map_tensors, rows
 
 MAX_VALUES = 1000  # more than any grid has of friction

@@ -1,0 +1,51 @@
+"""What runs made of AB, without any oracle: do their predictions tell twins apart?"""
+
+import pandas as pd
+
+from cophy.report.figures import in_order, row_name
+
+MISSING = "—"
+MEASURES = {
+    "twin_difference_explained": "Of the twins' difference, explained",
+    "right_twin_chosen": "Right twin chosen",
+}
+CAPTION = (
+    "Twins share A, C and the do-operation and differ in their confounders, which AB alone shows. Explained: "
+    "1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|², with ΔP and ΔD the predicted and the true difference between twins; 0 % for any model "
+    "without AB, 100 % for a perfect one. Right twin: how often P is nearer to its own D than to the twin's; 50 % by "
+    "chance. [ ]: 95 % bootstrap interval over twin pairs; ±: standard deviation over seeds."
+)
+
+
+def twin_tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Title to a table of rows × tested splits, for all runs that were tested on twins.
+
+    Args:
+        runs: See `read_runs`.
+
+    Returns:
+        Empty where no run was tested on twins.
+    """
+    if not set(MEASURES) <= set(runs.columns):
+        return {}
+    tested = runs[runs["right_twin_chosen"].notna()]
+    row = [row_name(model, ablation) for model, ablation in zip(tested["model"], tested["ablation"], strict=True)]
+    named = tested.assign(row=row, column=tested.apply(_column, axis=1))
+    return {title: _table(named, measure) for measure, title in MEASURES.items()}
+
+
+def _column(run: "pd.Series[str]") -> str:
+    positions = "" if run["positions"] == "ground_truth" else f", {run['positions']}"
+    return f"{run['scenario']} {run['split']}, {run['size']}, {run['epochs']:.0f} epochs{positions}"
+
+
+def _table(runs: pd.DataFrame, measure: str) -> pd.DataFrame:
+    texts = {keys: _text(found, measure) for keys, found in runs.groupby(["row", "column"])}
+    wide = pd.Series(texts).unstack().fillna(MISSING)
+    return wide.loc[in_order(wide.index)]
+
+
+def _text(found: pd.DataFrame, measure: str) -> str:
+    value, low, high = (100 * found[name].mean() for name in (measure, f"{measure}_low", f"{measure}_high"))
+    spread = f" ± {100 * found[measure].std():.1f}" if len(found) > 1 else ""
+    return f"{value:.1f} %{spread} [{low:.1f}, {high:.1f}]"

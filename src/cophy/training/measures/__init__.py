@@ -1,0 +1,7 @@
+"""How predictions are judged.
+
+metrics: measures of one experiment: MSE, final positions, pixels, stability.
+twin_metrics: measures of twins: does a prediction tell them apart as the truth does?
+evaluation: every measure of every test experiment.
+probe: what U says about mass and friction (paper Table 5).
+"""
