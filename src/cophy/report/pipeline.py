@@ -19,6 +19,7 @@ from cophy.report.tables import table_formats
 from cophy.report.tables.filled_tables import FilledTable, fill
 from cophy.report.tables.paper_tables import paper_tables
 from cophy.report.tables.run_table import read_runs, summary
+from cophy.report.tables.shares import stored_errors
 from cophy.report.tables.twin_table import CAPTION, twin_tables
 from cophy.scenario import Scenario
 
@@ -38,7 +39,7 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
     """
     (directory / "figures").mkdir(parents=True, exist_ok=True)
     runs = read_runs(outputs, choices.keys_of)
-    filled = [fill(table, runs) for table in paper_tables()]
+    filled = [fill(table, runs, stored_errors) for table in paper_tables()]
     drawn = _show_tables(filled)
     _write_tables(directory, filled, runs)
     finished = runs[runs["error"].isna()] if len(runs) else runs

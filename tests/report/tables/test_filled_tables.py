@@ -1,9 +1,11 @@
 """Tables from runs whose numbers are known."""
 
+import numpy as np
 import pandas as pd
 
 from cophy.report.tables.filled_tables import fill
 from cophy.report.tables.paper_tables import paper_tables
+from cophy.report.tables.shares import Errors
 from cophy.report.tables.table_formats import markdown
 from tests.report.lines import measured, run
 
@@ -40,6 +42,25 @@ def test_the_share_of_the_possible_gain_is_between_the_oracles() -> None:
     assert "75%" in markdown(filled)
     without = pd.DataFrame([measured("mse", 0.2, "cophynet")])
     assert fill(TABLES["blocktower"], without).shares() is None
+
+
+def test_the_interval_of_a_share_is_paired_over_twin_pairs() -> None:
+    """The three rows err alike from pair to pair, so that the share is surer than any of them."""
+    rng, pair = np.random.default_rng(0), np.arange(400) // 2
+    hard = rng.exponential(1.0, 200)[pair]
+    models = {"oracle_feedforward": 0.3, "oracle_counterfactual": 0.1, "cophynet": 0.15}
+
+    def errors_of(run: dict) -> Errors:
+        return Errors(models[run["model"]] * hard + rng.normal(0.0, 0.002, 400), pair)
+
+    runs = pd.DataFrame([measured("mse", mse, model) for model, mse in models.items()])
+    filled = fill(TABLES["blocktower"], runs, errors_of)
+    value = filled.values.set_index(["row", "column"]).loc[("3→3", "CoPhyNet")]
+    assert 0.74 < value["share_low"] < 0.75 < value["share_high"] < 0.76
+    shares = filled.shares()
+    assert shares is not None
+    assert shares.loc["3→3", "CoPhyNet"] == "75% [75%, 75%]"
+    assert shares.loc["3→3", "NPE"] == "—"
 
 
 def test_the_share_of_an_accuracy_grows_with_it() -> None:

@@ -27,7 +27,8 @@ def test_only_runs_in_their_own_place_are_read(tmp_path: Path) -> None:
     place = Path("blocktower/3to3/cophynet/full/ground_truth/seed0")
     for directory in (place, Path("demo") / place, Path("blocktower/3to3/in/full/ground_truth/seed0")):
         (tmp_path / directory / ".hydra").mkdir(parents=True)
-        (tmp_path / directory / ".hydra" / "config.yaml").write_text("trainer: {max_epochs: 40}\nmodel: {a: 1}\n")
+        config = "trainer: {max_epochs: 40}\nmodel: {a: 1}\nscenario: {task: {metric_dims: 3}}\n"
+        (tmp_path / directory / ".hydra" / "config.yaml").write_text(config)
         (tmp_path / directory / "metrics.json").write_text(json.dumps(content))
     runs = read_runs(tmp_path, lambda names: {"model": {"a": 1}})
     assert list(runs["directory"]) == [tmp_path / place]

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from cophy.report.tables.paper_tables import PaperTable
+from cophy.report.tables.shares import ErrorsOf, share_interval
 
 MISSING, FAILED = "—", "failed"
 NUMBERS = ("ours", "sd", "low", "high")
@@ -24,7 +25,7 @@ class FilledTable:
     Attributes:
         table: The paper's.
         values: One line per cell, in the table's own unit: row, column, ours, sd over seeds, low and high of the 95 %
-            interval, seeds, failed, paper, best; and share of the possible gain, see `shares`.
+            interval, seeds, failed, paper, best; and share of the possible gain with its interval, see `shares`.
         caption: What the cells are, and of which runs.
     """
 
@@ -44,7 +45,7 @@ class FilledTable:
         """
         if self.values["share"].isna().all():
             return None
-        texts = self.values["share"].map(lambda share: MISSING if pd.isna(share) else f"{share:.0%}")
+        texts = pd.Series([_share_text(value) for value in self.values.to_dict("records")])
         rows, columns = (
             [name for name in names if name not in self.table.oracles]
             for names in (self.table.rows, self.table.columns)
@@ -73,8 +74,21 @@ class FilledTable:
         return f"{start}{number(value['ours'])}{end} {spread}{failed} / {paper}"
 
 
-def fill(table: PaperTable, runs: pd.DataFrame) -> FilledTable:
-    """Put runs (see `read_runs`) into a table: mean over seeds, and how far it can be trusted."""
+def _share_text(value: dict[Any, Any]) -> str:
+    if pd.isna(value["share"]):
+        return MISSING
+    known = not pd.isna(value["share_low"])
+    return f"{value['share']:.0%}" + (f" [{value['share_low']:.0%}, {value['share_high']:.0%}]" if known else "")
+
+
+def fill(table: PaperTable, runs: pd.DataFrame, errors_of: ErrorsOf | None = None) -> FilledTable:
+    """Put runs into a table: mean over seeds, and how far it can be trusted.
+
+    Args:
+        table: Of the paper.
+        runs: See `read_runs`.
+        errors_of: Gives the errors of a run, of which the intervals of shares are made; None for no such intervals.
+    """
     values, used = [], []
     for (row, in_row), printed in zip(table.rows.items(), table.paper, strict=True):
         for (column, in_column), paper in zip(table.columns.items(), printed, strict=True):
@@ -83,7 +97,8 @@ def fill(table: PaperTable, runs: pd.DataFrame) -> FilledTable:
             used.append(found)
             values.append({"row": row, "column": column, **numbers, "paper": paper})
     frame = pd.DataFrame(values)
-    frame = frame.assign(best=_best(table, frame), share=_share(table, frame))
+    low, high = _share_intervals(table, frame, used, errors_of)
+    frame = frame.assign(best=_best(table, frame), share=_share(table, frame), share_low=low, share_high=high)
     return FilledTable(table, frame, _caption(table, pd.concat(used)))
 
 
@@ -121,6 +136,22 @@ def _share(table: PaperTable, values: pd.DataFrame) -> "pd.Series[float]":
         values[other].map(values[values[method] == oracle].set_index(other)["ours"]) for oracle in table.oracles
     )
     return (without - values["ours"]) / (without - with_ab)
+
+
+def _share_intervals(
+    table: PaperTable, values: pd.DataFrame, used: list[pd.DataFrame], errors_of: ErrorsOf | None
+) -> tuple[list[float], list[float]]:
+    """Low and high of the share of every cell with an MSE; NaN elsewhere."""
+    method, other = _axes(table)
+    runs = dict(zip(zip(values[method], values[other], strict=True), used, strict=True))
+    found = []
+    for (name, column), ours in runs.items():
+        if errors_of is None or not table.oracles or "mse" not in ours or name in table.oracles:
+            found.append((np.nan, np.nan))
+            continue
+        without, with_ab = (runs[oracle, column] for oracle in table.oracles)
+        found.append(share_interval(ours, without, with_ab, errors_of))
+    return [low for low, _ in found], [high for _, high in found]
 
 
 def _axes(table: PaperTable) -> tuple[str, str]:

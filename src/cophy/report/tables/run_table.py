@@ -32,7 +32,7 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
         keys_of: From a run's names to the keys of the configuration that they stand for.
 
     Returns:
-        One line each: names, directory, counts, epochs, every test metric and its interval (`_low`, `_high`). A failed
+        One line each: names, directory, counts, epochs, metric_dims, every test metric and its interval (`_low`, `_high`). A failed
         run has its `error` instead of results; `error` is None for the others.
     """
     places = [f"*/*/*/*/*/seed*/{name}" for name in (METRICS, FAILURE)]
@@ -106,9 +106,9 @@ def _misplaced(line: dict[str, Any], directory: Path) -> list[str]:
 
 
 def _changes(line: dict[str, Any], directory: Path, expected: dict[str, Any]) -> list[str]:
-    """Keys of the run's own configuration that are not what its names stand for; notes its epochs in the line."""
+    """Keys of the run's own configuration that are not what its names stand for; notes its epochs and metric_dims in the line."""
     own = OmegaConf.load(directory / ".hydra" / "config.yaml")
-    line["epochs"] = int(own.trainer.max_epochs)
+    line["epochs"], line["metric_dims"] = int(own.trainer.max_epochs), int(own.scenario.task.metric_dims)
     return [found for key, value in expected.items() for found in _differences(key, _plain(own, key), value)]
 
 

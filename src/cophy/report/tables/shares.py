@@ -1,0 +1,61 @@
+"""How sure a share of the possible gain is: its interval over twin pairs."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from cophy.bootstrap import Ratio, interval
+from cophy.training.runs.results import read_predictions
+
+
+class Errors(NamedTuple):
+    """What a run got wrong.
+
+    Attributes:
+        mse: (experiment,) mean squared error, m².
+        pair: (experiment,) the twin pair that it is of.
+    """
+
+    mse: np.ndarray
+    pair: np.ndarray
+
+
+ErrorsOf = Callable[[dict[Any, Any]], Errors]  # from a run's line (`read_runs`)
+
+
+def stored_errors(run: dict[Any, Any]) -> Errors:
+    """Those of the predictions that a run left."""
+    return _stored_errors(run["directory"], int(run["metric_dims"]))
+
+
+@lru_cache(maxsize=256)  # an oracle is compared with every run
+def _stored_errors(directory: Path, dims: int) -> Errors:
+    found = read_predictions(directory)
+    squared = np.square(found["position"] - found["target"])[..., :dims].mean(axis=(1, 3), dtype=np.float64)
+    present = found["presence"]
+    return Errors(np.where(present, squared, 0.0).sum(axis=1) / present.sum(axis=1), found["pair"])
+
+
+def share_interval(
+    ours: pd.DataFrame, without: pd.DataFrame, with_ab: pd.DataFrame, errors_of: ErrorsOf
+) -> tuple[float, float]:
+    """95 % interval of (oracle without AB - ours) / (oracle without AB - oracle with AB), paired by experiment.
+
+    Args:
+        ours: Runs of a row, one per seed; their errors are averaged.
+        without: Runs of the oracle without AB.
+        with_ab: Runs of the oracle with AB.
+        errors_of: Gives the errors of a run.
+
+    Returns:
+        Low and high; NaN where the runs were not tested on the same experiments, or one of the three is missing.
+    """
+    parts = [[errors_of(run) for run in runs.to_dict("records")] for runs in (ours, without, with_ab)]
+    if not all(parts) or len({each.pair.tobytes() for part in parts for each in part}) > 1:
+        return np.nan, np.nan
+    of_ours, of_without, of_with = (np.mean([each.mse for each in part], axis=0) for part in parts)
+    return interval(Ratio(of_without - of_ours, of_without - of_with), parts[0][0].pair)

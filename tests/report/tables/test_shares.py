@@ -1,0 +1,21 @@
+"""Errors of stored predictions are those that runs were judged by."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cophy.report.tables.shares import stored_errors
+from cophy.training.measures.metrics import mean_squared_error
+from cophy.training.runs.results import write_predictions
+from cophy.types import Batch, Prediction
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_stored_errors_are_the_mse_of_each_experiment(dims: int, tower_batch: Batch, tmp_path: Path) -> None:
+    prediction = Prediction(tower_batch.inputs.observed[:, 1:])
+    write_predictions(tmp_path, prediction, tower_batch.targets)
+    found = stored_errors({"directory": tmp_path, "metric_dims": dims})
+    expected = mean_squared_error(dims)(prediction, tower_batch.targets).numpy()
+    np.testing.assert_allclose(found.mse, expected, rtol=1e-5)
+    np.testing.assert_array_equal(found.pair, np.arange(len(tower_batch)) // 2)
