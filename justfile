@@ -11,7 +11,7 @@ default:
 setup:
     @cmp -s requirements.lock .venv/requirements.lock || ({{python}} -m venv .venv && {{bin}}/pip install {{packages}} && {{bin}}/pip install --no-deps -e . && cp requirements.lock .venv/)
 
-# generate data, train one row of the paper's Table 4, test it and print it (six minutes on two cores)
+# generate data, train and test the models of one split of the paper's Table 4 and print the table (six minutes on two cores)
 demo: setup
     {{bin}}/python src/train.py +table=collision hydra.sweeper.params.split=all trainer.max_epochs=15 hydra.sweep.dir=outputs/demo
     {{bin}}/python src/report.py outputs=outputs/demo
@@ -33,7 +33,7 @@ check: setup
 bench *args: setup
     {{bin}}/python benchmarks/bench.py {{args}}
 
-# train and test one row, or many with -m: just train scenario=balls model=cophynet
+# train and test one model on one split, or sweep with -m: just train scenario=balls model=cophynet
 train *args: setup
     {{bin}}/python src/train.py {{args}}
 
@@ -49,7 +49,7 @@ audit *args: setup
 report *args: setup
     {{bin}}/python src/report.py {{args}}
 
-# generated data in the layout of the released dataset: just export scenario=balls root=/where/CoPhy_224
+# generated data in the format of the released dataset: just export scenario=balls root=/where/CoPhy_224
 export *args: setup
     {{bin}}/python src/export.py {{args}}
 

@@ -9,7 +9,7 @@ import json
 import sys
 from pathlib import Path
 
-import checkouts
+import compare_checkouts
 import hotspots
 import paper_size
 import speed_generation
@@ -44,7 +44,7 @@ def main(arguments: list[str]) -> None:
     register()
     torch.set_num_threads(1)
     for there in against:
-        report("training-against", checkouts.measure(there))
+        report("training-against", compare_checkouts.measure(there))
     for topic in () if against else topics or TOPICS:
         if topic in OTHERS:
             OTHERS[topic]()

@@ -1,4 +1,4 @@
-"""Train and test one row of a table: python src/train.py scenario=balls model=cophynet"""
+"""Train and test one model on one split: python src/train.py scenario=balls model=cophynet"""
 
 import logging
 from pathlib import Path
@@ -37,7 +37,7 @@ def main(cfg: DictConfig) -> float:
         return run_configured(to_config(cfg, TrainConfig), to_plain(cfg), run).get("mse", float("nan"))
     except Exception as error:
         write_failure(run, error)
-        if chosen.mode is RunMode.MULTIRUN:  # the other rows go on; Hydra names only the first that failed
+        if chosen.mode is RunMode.MULTIRUN:  # the other runs go on; Hydra names only the first that failed
             log.error("%s failed: %s", run.place, error, exc_info=not cli.is_mendable(error))
         raise
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import bootstrap
 
-RESAMPLES = 2000
-AT_ONCE = 100  # resamples in memory
+NUM_RESAMPLES = 2000
+MAX_RESAMPLES_AT_ONCE = 100  # in memory
 
 
 class Ratio(NamedTuple):
@@ -46,8 +46,8 @@ def interval(values: np.ndarray | Ratio, pairs: np.ndarray) -> tuple[float, floa
     result = bootstrap(
         (np.arange(len(size)),),
         lambda rows, axis: total[rows].sum(axis=axis) / size[rows].sum(axis=axis),
-        n_resamples=RESAMPLES,
-        batch=AT_ONCE,
+        n_resamples=NUM_RESAMPLES,
+        batch=MAX_RESAMPLES_AT_ONCE,
         method="percentile",
         rng=np.random.default_rng(0),
     )

@@ -150,7 +150,7 @@ def map_tensors(function: Callable[..., Tensor], *batches: Tensors) -> Tensors:
     return type(first)(**mapped)
 
 
-def rows(batch: Tensors, index: slice | list[int] | Tensor) -> Tensors:
+def take(batch: Tensors, index: slice | list[int] | Tensor) -> Tensors:
     """Some experiments of a batch."""
     chosen = torch.as_tensor(index) if isinstance(index, list) else index
     return map_tensors(lambda tensor: tensor[chosen], batch)

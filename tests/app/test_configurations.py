@@ -72,12 +72,16 @@ def test_every_split_belongs_to_a_scenario() -> None:
     assert {path.stem for path in (ROOT / "conf" / "split").iterdir()} == known
 
 
-@pytest.mark.parametrize("group", ["scenario", "source_scenario", "model", "trainer"])
+@pytest.mark.parametrize("group", ["scenario", "source_scenario", "model", "trainer", "size"])
 def test_every_number_in_conf_has_its_source(group: str) -> None:
     for path in (ROOT / "conf" / group).iterdir():
         for line in path.read_text().splitlines():
             value, _, source = re.sub('"[^"]*"', "", line).partition("#")
-            if ":" in value and not value.lstrip().startswith("-") and re.search(r"\d", value.split(":", 1)[1]):
+            if (
+                ":" in value
+                and not value.lstrip().startswith(("-", "name:"))
+                and re.search(r"\d", value.split(":", 1)[1])
+            ):
                 assert source.strip(), f"{path.name}: {line}"
 
 

@@ -12,7 +12,7 @@ from cophy.models.cophynet import CoPhyNet
 from cophy.models.decoders import Rollout
 from cophy.models.layers.graph_convolution import GraphConvolution, PairwiseMLP
 from cophy.models.options import ConfounderSource, Gating
-from cophy.types import Inputs, Prediction, rows
+from cophy.types import Inputs, Prediction, take
 
 Nodes = dict[int, Tensor]  # slot of a present object -> its features
 
@@ -44,7 +44,7 @@ def convolve(interaction: nn.Module, nodes: Nodes, num_slots: int) -> Nodes:
 def predict(network: nn.Module, inputs: Inputs) -> Prediction:
     """All experiments, one after the other; empty slots are zero."""
     one = cophynet if isinstance(network, CoPhyNet) else interaction_network
-    each = [one(network, rows(inputs, slice(n, n + 1))) for n in range(len(inputs))]
+    each = [one(network, take(inputs, slice(n, n + 1))) for n in range(len(inputs))]
     fields = zip(*each, strict=True)
     position, logit, estimate = (None if part[0] is None else torch.stack(part) for part in fields)
     return Prediction(position, logit, estimate)

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from cophy.models.baselines import CopyB, CopyC
 from cophy.training.losses import position_loss, stability_loss
-from cophy.types import Batch, Inputs, Prediction, map_tensors, rows
+from cophy.types import Batch, Inputs, Prediction, map_tensors, take
 from tests.models.networks import ABLATIONS, BASELINES, build
 
 
@@ -66,7 +66,7 @@ def test_absent_objects_change_nothing(any_network: nn.Module, inputs: Inputs) -
 
 
 def test_an_experiment_does_not_depend_on_its_batch(any_network: nn.Module, inputs: Inputs) -> None:
-    alone = rows(inputs, slice(5, 6))
+    alone = take(inputs, slice(5, 6))
     torch.testing.assert_close(
         present(any_network(alone), alone), present(any_network(inputs), inputs)[5:6], atol=1e-5, rtol=1e-4
     )
@@ -162,7 +162,7 @@ def test_copy_b_leaves_what_was_missed_in_ab_where_it_is_in_c(inputs: Inputs) ->
 
 
 def test_cophynet_overfits_one_batch(tower_batch: Batch) -> None:
-    network, batch = build("full"), rows(tower_batch, slice(8))
+    network, batch = build("full"), take(tower_batch, slice(8))
     optimizer = torch.optim.Adam(network.parameters(), lr=0.004)
     for _ in range(120):
         loss = position_loss(network(batch.inputs), batch.targets)

@@ -99,7 +99,7 @@ def test_thirds_hold_everything_once_and_keep_equal_numbers_together() -> None:
 
 def test_page_and_figures_say_what_they_show(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
     found = broken_down([finished_run(arrays, tmp_path)], arrays)
-    text = page(found)
+    text = page(found, {"blocktower": SPEC.scenario})
     assert "## blocktower, 3to3, tiny" in text
     first = found.iloc[0]
     assert f"{first['mse']:.3f} [{first['low']:.3f}, {first['high']:.3f}]" in text

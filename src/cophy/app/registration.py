@@ -1,6 +1,6 @@
 """Makes the schemas known to Hydra.
 
-They live in groups of their own (`schema/...`), so that `glob(*)` over scenarios or models finds rows only.
+They live in groups of their own (`schema/...`), so that `glob(*)` over scenarios or models finds choices only.
 """
 
 from hydra.core.config_store import ConfigStore

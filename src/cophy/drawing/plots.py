@@ -9,8 +9,8 @@ from matplotlib.lines import Line2D
 from cophy.scenario import Camera
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}  # the axes shown
-MARKED = 4  # every how many frames a marker
-SMALLEST_VIEW = 2.0  # metres: what hardly moves shall not look as if it did
+FRAMES_PER_MARKER = 4
+MIN_VIEW_M = 2.0  # what hardly moves shall not look as if it did
 
 
 def draw_trajectories(
@@ -38,12 +38,12 @@ def draw_trajectories(
                 style = {"color": colors[slot], "markerfacecolor": "none"}
                 for path, marker, line in ((true[n, :, slot], "o", "-"), (predicted[n, :, slot], "x", ":")):
                     whole = np.concatenate([initial[n, None, slot], path])[:, [right, up]]
-                    marked = [*range(MARKED, len(whole) - 1, MARKED), len(whole) - 1]
+                    marked = [*range(FRAMES_PER_MARKER, len(whole) - 1, FRAMES_PER_MARKER), len(whole) - 1]
                     axis.plot(*whole.T, line, marker=marker, markevery=marked, ms=6, lw=0.8, **style)
                     everything.append(whole)
                 axis.plot(*initial[n, slot, [right, up]], "s", ms=9, **style)
             low, high = np.concatenate(everything).min(axis=0), np.concatenate(everything).max(axis=0)
-            centre, half = (low + high) / 2, 0.55 * max((high - low).max(), SMALLEST_VIEW)
+            centre, half = (low + high) / 2, 0.55 * max((high - low).max(), MIN_VIEW_M)
             axis.set(
                 xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half), aspect="equal"
             )

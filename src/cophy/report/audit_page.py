@@ -45,7 +45,10 @@ def write_page(checks: Sequence[Check], arrays: dict[str, np.ndarray], spec: Dat
 
 
 def draw_classifiers(checks: Sequence[ClassifierCheck]) -> Figure:
-    """Share of guesses that are right, with its interval: above what chance gives (grey), below nothing to be learned."""
+    """Bars: each classifier's share of right guesses, with its interval, over the share by chance (grey).
+
+    A classifier that is no better than chance has learned nothing.
+    """
     figure = Figure(figsize=(9, 0.9 + 0.38 * len(checks)), layout="constrained")
     axis = figure.subplots()
     at = -np.arange(len(checks), dtype=float)

@@ -1,10 +1,10 @@
 """MSE by difficulty as a page and as figures."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cophy.report.figures import in_order
@@ -12,13 +12,13 @@ from cophy.report.mse_by_difficulty import ALL, NAMED, SECTION, WORDS
 from cophy.scenario import Scenario
 
 MAX_PANELS_PER_ROW = 4
-SPREAD = 0.6  # of the models of one group, as a share of the distance between groups
+GROUP_WIDTH = 0.6  # of all models of a group together, as a share of the distance between groups
 EXPLANATION = """# MSE by difficulty
 
 The default split of each scenario, test experiments, mean over seeds. [ ]: 95 % bootstrap interval over the twin pairs of the group; n:
 experiments in it. What is a number is broken down by thirds.
 
-- cell: what the generator was told to make. Towers: outcome of AB, outcome of CD; collisions: moving object, static object.
+- cell: what the generator was told to make ({cells}).
 - displacement: by the do-operation; removals have none.
 - distance from the twin's: between two sequences that differ in their confounders alone, averaged over time, of the object
   that differs most. AB: how distinguishable AB is. CD: how much the confounders matter.
@@ -26,23 +26,19 @@ experiments in it. What is a number is broken down by thirds.
 """
 
 
-def page(lines: pd.DataFrame) -> str:
+def page(lines: pd.DataFrame, scenarios: Mapping[str, Scenario]) -> str:
     """Markdown: per scenario, split, positions and size a table of groups × rows, those with the largest MSE first."""
-    return "\n".join([EXPLANATION, *(f"## {', '.join(keys)}\n\n{_table(found)}\n" for keys, found in _sections(lines))])
+    meanings = [f"{name}: {meaning}" for name, scenario in scenarios.items() if (meaning := scenario.cell_meaning())]
+    explanation = EXPLANATION.format(cells="; ".join(meanings) or "there is only one")
+    return "\n".join([explanation, *(f"## {', '.join(keys)}\n\n{_table(found)}\n" for keys, found in _sections(lines))])
 
 
 def draw(lines: pd.DataFrame, scenarios: Mapping[str, Scenario]) -> Iterator[tuple[str, Figure]]:
     """Name and figure of each section of the page: a panel per way to break down, models (no ablations) with intervals."""
     for keys, found in _sections(lines):
-        titles = {**WORDS, "cell": _cells(scenarios[keys[0]])}
+        meaning = scenarios[keys[0]].cell_meaning()
+        titles = {**WORDS, "cell": f"cell: {meaning}" if meaning else "cell"}
         yield "-".join(["difficulty", *keys]), _panels(found, ", ".join(keys), titles)
-
-
-def _cells(scenario: Scenario) -> str:
-    """What the words of a cell are about."""
-    if scenario.statics is not None:
-        return "cell: outcome of AB, of CD"
-    return "cell" if scenario.shapes_of_cell(0) is None else "cell: moving, static object"
 
 
 def _sections(lines: pd.DataFrame) -> Iterator[tuple[list[str], pd.DataFrame]]:
@@ -69,14 +65,14 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
     return figure
 
 
-def _panel(axis: Any, frame: pd.DataFrame, by: str, title: str) -> None:
+def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
     models = _shown(frame)
     colors = {name: f"C{n}" for n, name in enumerate(in_order(frame["row"].unique()))}
     shown = frame[frame["by"] == by]
     groups = shown["group"].unique().tolist()
     for n, name in enumerate(models):
         found = shown[shown["row"] == name]
-        at = [groups.index(group) + SPREAD * ((n + 0.5) / len(models) - 0.5) for group in found["group"]]
+        at = [groups.index(group) + GROUP_WIDTH * ((n + 0.5) / len(models) - 0.5) for group in found["group"]]
         ends = [found["mse"] - found["low"], found["high"] - found["mse"]]
         line = "" if by in NAMED else "-"
         axis.errorbar(at, found["mse"], ends, fmt=f"o{line}", ms=4, lw=1.2, color=colors[name], label=name)

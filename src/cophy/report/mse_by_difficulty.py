@@ -31,7 +31,7 @@ NUMBERS = {
     "counterfactual_margin": "C: margin of the tower (m)",
 }
 WORDS = {ALL: "all", **NAMED, **NUMBERS}
-SAME_RUN = 1e-4  # relative: float32, summed in another order
+RELATIVE_MSE_TOLERANCE = 1e-4  # float32, summed in another order
 
 
 def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: DatasetSpec, part: Part) -> pd.DataFrame:
@@ -96,12 +96,12 @@ def _errors(run: dict[Any, Any], truth: Targets, spec: DatasetSpec) -> np.ndarra
     if spec.id not in run["dataset_ids"] or not (
         np.array_equal(found["target"], truth.position) and np.array_equal(found["presence"], truth.presence)
     ):
-        log.error("%s: its predictions are not of the test split of %s: run that row again", directory, spec.id)
+        log.error("%s: its predictions are not of the test split of %s: make that run again", directory, spec.id)
         return None
     prediction = Prediction(torch.from_numpy(found["position"]))
     errors = mean_squared_error(spec.scenario.task.metric_dims)(prediction, truth).double().numpy()
-    if not np.isclose(errors.mean(), run["mse"], rtol=SAME_RUN):
-        log.error("%s: its predictions have MSE %.6f, its metrics.json says %.6f: run that row again",
+    if not np.isclose(errors.mean(), run["mse"], rtol=RELATIVE_MSE_TOLERANCE):
+        log.error("%s: its predictions have MSE %.6f, its metrics.json says %.6f: make that run again",
                   directory, errors.mean(), run["mse"])  # fmt: skip
         return None
     return np.asarray(errors)

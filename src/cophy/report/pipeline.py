@@ -115,7 +115,7 @@ def _write_difficulty(
     if lines.empty:
         return {}
     write_atomically(directory / "difficulty.csv", lines.to_csv(index=False).encode())
-    write_atomically(directory / "difficulty.md", difficulty_page.page(lines).encode())
+    write_atomically(directory / "difficulty.md", difficulty_page.page(lines, scenarios).encode())
     return dict(difficulty_page.draw(lines, scenarios))
 
 

@@ -1,13 +1,17 @@
 """What is simulated: scenarios, their scenes and twins, and pictures of them (no torch).
 
 scenario: what every scenario has, and how a twin pair is made.
-blocktower, balls, collision: the three scenarios of the paper.
+blocktower: BlocktowerCF of the paper, stacked cubes that stand or fall.
+balls: BallsCF of the paper, balls that roll inside four walls.
+collision: CollisionCF of the paper, a moving object that is sent towards a static one.
 confounders: the grid of values, and configurations of them.
 do_operations: displace an object, or remove one.
 experiment: AB and CD under the same confounders; twin pairs.
 symmetry: rotations and reflections that leave a scenario as it is.
-
-physics: rigid bodies and their simulation. search: how twins are found. rendering: pictures. oracles: what only they need.
+physics/: rigid bodies and their simulation.
+search/: how twins are found.
+rendering/: from states to pictures.
+oracles/: what only the two oracles need.
 """
 
 from cophy.scenario.balls import Balls

@@ -40,6 +40,10 @@ class Blocktower(Scenario):
         return tuple(cell.name for cell in TOWER_CELLS)
 
     @classmethod
+    def cell_meaning(cls) -> str:
+        return "outcome of AB, of CD"
+
+    @classmethod
     def symmetries(cls) -> np.ndarray:
         return square()
 

@@ -39,6 +39,10 @@ class Collision(SimulatedSearch):
         return tuple(f"{moving.name}_{static.name}".lower() for moving, static in CELLS)
 
     @classmethod
+    def cell_meaning(cls) -> str:
+        return "moving, static object"
+
+    @classmethod
     def symmetries(cls) -> np.ndarray:
         return mirror()
 

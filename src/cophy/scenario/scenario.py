@@ -1,4 +1,4 @@
-"""What the three scenarios share: the fields of conf/scenario/*.yaml and the frame of a twin pair."""
+"""What every scenario has: the fields of conf/scenario/*.yaml, and how a twin pair is made."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -70,6 +70,11 @@ class Scenario(ABC):
     @abstractmethod
     def cells(cls) -> tuple[str, ...]:
         """Names of the cells that `Experiment.cell` counts in. The pairs of one block go through all of them (see `assign`)."""
+
+    @classmethod
+    def cell_meaning(cls) -> str:
+        """What the words in the name of a cell are about, in their order; empty where there is only one cell."""
+        return ""
 
     @classmethod
     @abstractmethod

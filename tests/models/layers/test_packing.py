@@ -3,7 +3,7 @@
 import torch
 
 from cophy.models.layers.packing import pack, unpack
-from cophy.types import Batch, Prediction, rows
+from cophy.types import Batch, Prediction, take
 from tests.models.networks import random_batch
 
 
@@ -32,7 +32,7 @@ def test_packed_objects_keep_their_order_and_their_features() -> None:
 
 
 def test_an_experiment_without_objects_is_packed_too() -> None:
-    inputs = rows(random_batch(4, [3]).inputs, slice(0, 1))
+    inputs = take(random_batch(4, [3]).inputs, slice(0, 1))
     inputs.presence, inputs.observed_presence = (torch.zeros(1, 4, dtype=torch.bool) for _ in range(2))
     packed, _ = pack(inputs)
     assert packed.initial.shape == (1, 2, 3)

@@ -8,7 +8,7 @@ import torch
 from cophy.scenario import Camera, Task
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
 from cophy.training.measures.metrics import collection, pixel_measures, position_measures, stability_measures
-from cophy.types import Prediction, Targets, rows
+from cophy.types import Prediction, Targets, take
 
 INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])
 
@@ -106,7 +106,7 @@ def test_every_experiment_counts_once_whatever_its_targets() -> None:
     whole, split = position_metrics(3), position_metrics(3)
     whole.update(prediction(), targets())
     for row in (slice(0, 1), slice(1, 2)):
-        split.update(Prediction(prediction().position[row]), rows(targets(), row))
+        split.update(Prediction(prediction().position[row]), take(targets(), row))
     assert whole.compute() == split.compute()
 
 

@@ -16,13 +16,13 @@ from cophy.training.measures.twin_metrics import (
     twin_difference,
     twin_of,
 )
-from cophy.types import Batch, Prediction, Targets, rows
+from cophy.types import Batch, Prediction, Targets, take
 from tests.models.networks import build, random_batch
 
 
 def two_pairs() -> Targets:
     """Two twin pairs, one step, one object: D of the first pair differs by 2 m in x, of the second by 4 m in y."""
-    targets = rows(random_batch(2, [2, 2, 2, 2], num_frames=2).targets, slice(4))
+    targets = take(random_batch(2, [2, 2, 2, 2], num_frames=2).targets, slice(4))
     position = torch.zeros(4, 1, 2, 3)
     position[1, 0, 0, 0], position[3, 0, 0, 1] = 2.0, 4.0
     presence = torch.tensor([[True, False]]).expand(4, 2)
@@ -64,7 +64,7 @@ def test_batches_add_up() -> None:
     whole, parts, prediction = twin_collection(3, ""), twin_collection(3, ""), predicted(0.0, 1.0, 2.0, 5.0)
     whole.update(prediction, two_pairs())
     for part in (slice(0, 2), slice(2, 4)):
-        parts.update(rows(prediction, part), rows(two_pairs(), part))
+        parts.update(take(prediction, part), take(two_pairs(), part))
     assert {name: float(value) for name, value in whole.compute().items()} == {
         name: float(value) for name, value in parts.compute().items()
     }

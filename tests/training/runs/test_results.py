@@ -48,5 +48,5 @@ def test_predictions_come_back_as_they_were(run: Run, tower_batch: Batch) -> Non
     assert torch.equal(torch.from_numpy(found["presence"]), targets.presence)
     path = run.directory / "predictions.npz"
     path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(CophyError, match=r"predictions\.npz is missing or damaged .* run that row again"):
+    with pytest.raises(CophyError, match=r"predictions\.npz is missing or damaged .* make that run again"):
         read_predictions(run.directory)

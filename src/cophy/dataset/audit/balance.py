@@ -72,7 +72,8 @@ def trajectories(arrays: Arrays, spec: Sharded) -> Iterator[Check]:
 def paths_per_value(arrays: Arrays, spec: Sharded) -> dict[str, dict[float, np.ndarray]]:
     """Confounder -> value -> how far objects with that value are from their start in CD, averaged over time, metres.
 
-    Per object in the scenario's order where this has a meaning (collision: moving, static), else over all objects.
+    Per object where the scenario has several cells, because these tell its objects apart (in the scenario's own order).
+    Otherwise over all objects.
     """
     moved, presence = mean_distance(arrays)[:, 1], arrays["presence"][:, 1]
     places = [(f" of object {k}", arrays["object_index"] == k) for k in range(spec.num_objects)]

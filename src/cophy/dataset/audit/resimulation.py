@@ -1,4 +1,4 @@
-"""A sample of experiments, made again and simulated again, so that nothing hangs on the word of the generator."""
+"""A sample of experiments is made again and simulated again, so that the generator need not be trusted."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,7 +22,11 @@ NUM_CANDIDATES = 8  # configurations that AB is compared under
 
 @dataclass
 class _Replay:
-    """What came of one twin pair. distance: metres, of AB and CD of both twins; agreement: of both twins, see `_agreement`."""
+    """One twin pair, simulated again.
+
+    distance: of AB and CD of both twins from the stored ones, metres. twins_apart: distance between the CD of the twins,
+    metres. agreement: of both twins, see `_agreement`.
+    """
 
     pair: int
     same_bytes: bool
@@ -84,9 +88,10 @@ def _replay(arrays: Arrays, spec: DatasetSpec, pair: int, simulator: Simulator) 
 
 
 def _agreement(arrays: Arrays, spec: DatasetSpec, row: int, simulator: Simulator) -> float:
-    """Of the configurations under which AB is as it was seen, the share under which CD is too.
+    """How far AB determines CD.
 
-    Looked for among NUM_CANDIDATES others; the true one counts. Alike is what differs by less than `min_difference`.
+    Tries NUM_CANDIDATES other configurations. Of those that reproduce AB to within `min_difference`, and the true one,
+    returns the share that also reproduces CD.
     """
     scenario = spec.scenario
     scene, do_operation = scene_of(arrays, row, scenario), do_operation_of(arrays, row, scenario)

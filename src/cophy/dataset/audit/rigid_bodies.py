@@ -13,7 +13,7 @@ from cophy.scenario.physics.energy import largest_gain
 
 ROUNDING_TOLERANCE_M = 1e-5  # of float32
 MAX_PENETRATION = 0.05  # penetration as a share of an object's size: what Bullet needs to turn the fastest balls around (docs/physics.md)
-MAX_GAIN = 0.01  # of energy between two states, as conf/scenario/balls.yaml has it
+MAX_ENERGY_GAIN = 0.01  # of energy between two states, as conf/scenario/balls.yaml has it
 
 
 def states(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
@@ -88,7 +88,7 @@ def _in_sight(arrays: Arrays, extent_m: float) -> Check:
 
 
 def _energy(arrays: Arrays, spec: DatasetSpec) -> Check:
-    """No impact adds more than MAX_GAIN."""
+    """No impact adds more than MAX_ENERGY_GAIN."""
     most, where = 0.0, 0
     for row in range(len(arrays["states"])):
         scene = scene_of(arrays, row, spec.scenario)
@@ -96,4 +96,4 @@ def _energy(arrays: Arrays, spec: DatasetSpec) -> Check:
         gain = max(largest_gain(s, t) for s, t in zip(scenes, trajectories_of(arrays, row), strict=True))
         if gain > most:
             most, where = gain, row
-    return Check("no sequence gains energy", f"at most {most:.2%} (experiment {where})", most <= MAX_GAIN)
+    return Check("no sequence gains energy", f"at most {most:.2%} (experiment {where})", most <= MAX_ENERGY_GAIN)

@@ -85,9 +85,10 @@ def _statics(arrays: Arrays, statics: TowerStatics, standing: np.ndarray) -> Che
 
 
 def _agreement(arrays: Arrays, statics: TowerStatics, names: np.ndarray) -> Check:
-    """Of all masses and gravities under which A stands too, how many share the CD of an experiment whose A stands.
+    """Whether a standing AB says much about CD, by statics from the stored geometry.
 
-    By statics, from the stored geometry. Where it is below 1, a standing AB makes the true CD likely, not certain.
+    For experiments whose A stands: of all combinations under which A stands, the share under which C has the true
+    outcome. Where it is below 1, a standing AB makes the true CD likely, not certain.
     names: (experiment,) of the cells.
     """
     rows = np.char.startswith(names, "stands")

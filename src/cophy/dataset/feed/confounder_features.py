@@ -1,4 +1,4 @@
-"""The true confounders as numbers per object, for the rows that are given or taught them."""
+"""The true confounders as numbers per object, for models that are given or taught them."""
 
 import numpy as np
 import torch

@@ -2,7 +2,7 @@
 
 from torch.utils.data import BatchSampler, DataLoader, Dataset, RandomSampler, SequentialSampler
 
-from cophy.types import Batch, rows
+from cophy.types import Batch, take
 
 
 class CounterfactualDataset(Dataset[Batch]):
@@ -15,7 +15,7 @@ class CounterfactualDataset(Dataset[Batch]):
         return len(self.batch)
 
     def __getitem__(self, indices: list[int]) -> Batch:
-        return rows(self.batch, indices)
+        return take(self.batch, indices)
 
     def loader(self, batch_size: int, *, shuffle: bool) -> DataLoader[Batch]:
         """Batches of up to `batch_size` experiments, sliced at once: no worker processes are worth their cost."""

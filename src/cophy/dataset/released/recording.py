@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from cophy.dataset.store.experiment_arrays import CONFOUNDERS_OF_OBJECTS
 from cophy.scenario import Scenario
 
-SNAP_TOLERANCE = (
-    0.02  # ours: noise in released confounders is below 0.001 (0.0997877 for 0.1), their values 0.4 or more apart
-)
+# ours, in the unit of each confounder (kg, m/s²; friction and restitution have none). Released values are 0.4 or more
+# apart, and their noise is below 0.001 (0.0997877 for 0.1)
+SNAP_TOLERANCE = 0.02
 UNIT_TOLERANCE = 0.01  # ours: how far a quaternion's length may be from 1
 
 
@@ -64,7 +65,7 @@ def to_row(recording: Recording, scenario: Scenario, num_objects: int) -> dict[s
         "object_index": np.where(presence[0], recording.order, -1),
         **{
             name: _snapped(name, getattr(recording, name), getattr(grid, name), presence[0])
-            for name in ("mass", "friction", "restitution")
+            for name in CONFOUNDERS_OF_OBJECTS
         },
         "gravity": (*_gravity(recording.gravity_xy, scenario), scenario.gravity_z),
         "do_slot": slot,
@@ -82,7 +83,7 @@ def _presence(states: np.ndarray) -> np.ndarray:
 
 
 def _snapped(name: str, values: np.ndarray, grid: list[float], present: np.ndarray) -> np.ndarray:
-    """Values of present objects on the grid; what is further than SNAP_TOLERANCE from it is no noise."""
+    """Values of present objects, moved to the grid. One that is further than SNAP_TOLERANCE from it is refused."""
     nearest = _nearest(values, grid)
     off = present & (np.abs(values - nearest) > SNAP_TOLERANCE)
     if off.any():
@@ -96,7 +97,7 @@ def _nearest(values: np.ndarray, grid: list[float]) -> np.ndarray:
 
 
 def _gravity(gravity_xy: np.ndarray, scenario: Scenario) -> np.ndarray:
-    """(2,) on the grid, or NaN where the files hold something else: whether that is gravity, nobody knows."""
+    """(2,) on the grid. NaN where the files hold other values: these may be no gravity at all."""
     grids = (scenario.confounders.gravity_x, scenario.confounders.gravity_y)
     nearest = [_nearest(np.array([value]), grid)[0] for value, grid in zip(gravity_xy, grids, strict=True)]
     on_grid = np.abs(gravity_xy - nearest).max() <= SNAP_TOLERANCE

@@ -48,6 +48,7 @@ class ReleasedSpec:
         read_as = {key: scenario[key] for key in ("name", "colors", "confounders", "gravity_z", "clock")}
         return {
             "format": FORMAT_VERSION,
+            # the released format; the key stays "layout" because the names of indices on disk are hashes of this
             "layout": self.released_format.name,
             "directory": str(self.directory.resolve()),
             "num_objects": self.num_objects,

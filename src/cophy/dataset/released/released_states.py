@@ -15,7 +15,7 @@ from cophy.dataset.released.recording import BrokenExperimentError, to_row
 from cophy.dataset.released.released_spec import ReleasedSpec, listing
 from cophy.dataset.released.untrusted_files import BrokenFileError
 from cophy.dataset.splits import SPLITS, Split
-from cophy.dataset.store.experiment_arrays import states_field
+from cophy.dataset.store.experiment_arrays import scene_fields
 from cophy.dataset.store.experiment_set import ExperimentSet, OracleSettings
 from cophy.dataset.store.hdf5_arrays import Field, Fields, empty_arrays, encode
 from cophy.errors import CophyError
@@ -96,16 +96,9 @@ class ReleasedStates(ExperimentSet):
         return {}
 
     def fields(self, shard: int) -> Fields:
-        slots, count = self.spec.scenario.num_slots, len(self.spec.experiments_of_shard(shard))
+        scenario, count = self.spec.scenario, len(self.spec.experiments_of_shard(shard))
         return {
-            "states": states_field((count, 2, self.spec.scenario.clock.num_frames, slots, 13)),
-            "presence": Field((count, 2, slots), "|b1"),
-            "shape": Field((count, slots), "|u1"),
-            "object_index": Field((count, slots), "|i1"),
-            "mass": Field((count, slots), "<f4"),
-            "friction": Field((count, slots), "<f4"),
-            "restitution": Field((count, slots), "<f4"),
-            "gravity": Field((count, 3), "<f4"),
+            **scene_fields(count, scenario.clock.num_frames, scenario.num_slots),
             "do_slot": Field((count,), "|u1"),
             "do_offset": Field((count, 3), "<f4"),
             "clip": Field((count, 2), "|b1"),

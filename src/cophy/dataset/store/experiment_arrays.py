@@ -19,10 +19,24 @@ CELLS_ON_DISK = "strata"
 CONFOUNDERS_OF_OBJECTS = ("mass", "friction", "restitution")
 
 
-def states_field(shape: tuple[int, ...]) -> Field:
-    """States of `shape` (experiment, ...), compressed one experiment at a time."""
-    storage = {"chunks": (1, *shape[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True}
-    return Field(shape, "<f4", storage=storage)
+def scene_fields(count: int, num_times: int, num_slots: int) -> Fields:
+    """Fields of scenes and their sequences, which generated and released experiments have alike.
+
+    Args:
+        count: experiments.
+        num_times: states of a sequence; they are compressed one experiment at a time.
+        num_slots: of the scenario.
+    """
+    states = (count, 2, num_times, num_slots, 13)
+    storage = {"chunks": (1, *states[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True}
+    return {
+        "states": Field(states, "<f4", storage=storage),
+        "presence": Field((count, 2, num_slots), "|b1"),
+        "shape": Field((count, num_slots), "|u1"),
+        "object_index": Field((count, num_slots), "|i1"),
+        **{name: Field((count, num_slots), "<f4") for name in CONFOUNDERS_OF_OBJECTS},
+        "gravity": Field((count, 3), "<f4"),
+    }
 
 
 def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
@@ -33,16 +47,8 @@ def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
     do_operation: index into the scenario's do_operations, with the slot and offset (m) it concerns.
     cell: index into the scenario's cells.
     """
-    slots, times = spec.scenario.num_slots, spec.scenario.clock.num_states
     return {
-        "states": states_field((count, 2, times, slots, 13)),
-        "presence": Field((count, 2, slots), "|b1"),
-        "shape": Field((count, slots), "|u1"),
-        "object_index": Field((count, slots), "|i1"),
-        "mass": Field((count, slots), "<f4"),
-        "friction": Field((count, slots), "<f4"),
-        "restitution": Field((count, slots), "<f4"),
-        "gravity": Field((count, 3), "<f4"),
+        **scene_fields(count, spec.scenario.clock.num_states, spec.scenario.num_slots),
         "configuration": Field((count,), "<i4"),
         "seen": Field((count,), "|b1"),
         "do_operation": Field((count,), "|u1"),

@@ -61,7 +61,7 @@ def metrics_of(runs: pd.DataFrame) -> list[str]:
 
 
 def summary(runs: pd.DataFrame) -> pd.DataFrame:
-    """Every row that was run: cost, and each test metric, mean over seeds, ± standard deviation where there are several."""
+    """All runs: cost and test metrics, as means over seeds, ± standard deviation where there are several."""
     if runs.empty:
         return runs
     rows = []

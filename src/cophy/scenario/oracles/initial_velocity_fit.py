@@ -20,10 +20,11 @@ NUM_TRIED_STARTS = 4  # and how many of them are tried
 
 
 class InitialVelocityFit:
-    """Gives a scene the velocities that bring its objects to where AB shows them in the second frame, whatever the confounders.
+    """Finds initial velocities that bring the objects of a scene to where AB shows them in the second frame.
 
-    Where nothing is hit within the first frame, a few corrections of the mean velocity settle it. Otherwise a root search starts from the
-    velocities that fitted under other confounders, and, a few times, from the best of many random velocities.
+    The scene may have any confounders. Where nothing is hit before the second frame, a few corrections of the mean
+    velocity are enough. Otherwise a root search starts from the velocities that fitted under other confounders. A few
+    times it also starts from the best of many random velocities.
 
     Args:
         observed: (T, K, 3) positions of AB at the frame rate, metres.
@@ -91,7 +92,10 @@ class InitialVelocityFit:
         )
 
     def _reversed(self, scene: Scene) -> np.ndarray:
-        """What motion back in time from the next frame would arrive with: near enough where little energy is lost."""
+        """A start value for the fit: simulate backwards from frame 1 and reverse the velocity.
+
+        Accurate where little energy is lost.
+        """
         back = scene
         for body, (x, y) in zip(scene.objects, self._seen(scene, 1).tolist(), strict=True):
             back = back.with_object(replace(body, position=(x, y, body.position[2])))

@@ -1,5 +1,6 @@
-"""What D could be, for the two oracles: simulated under confounders and initial velocities that are drawn or inferred, and never
-read from the answer.
+"""Simulates possible outcomes D for the two oracles.
+
+Confounders and initial velocities are drawn or inferred. The true ones are never used.
 """
 
 from collections.abc import Callable, Iterable
@@ -23,7 +24,7 @@ MIN_RELATIVE_WEIGHT = 0.01  # of the largest weight; what has less is negligible
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A D that could be, and how likely it is (not normalised)."""
+    """A possible D, and how likely it is (not normalised)."""
 
     counterfactual: Trajectory
     weight: float
@@ -38,7 +39,9 @@ def feedforward_hypotheses(
     rng: np.random.Generator,
     simulator: Simulator,
 ) -> list[Hypothesis]:
-    """D without AB: of experiments that the generator could have made of this A and C, its cells and twins included.
+    """Hypotheses about D without AB: CD of experiments that the generator could have made of this A and C.
+
+    They are drawn as the generator draws them, by cell and with twins.
 
     Args:
         scenario: whose generator is meant.
@@ -63,10 +66,10 @@ def counterfactual_hypotheses(
     rng: np.random.Generator,
     simulator: Simulator,
 ) -> list[Hypothesis]:
-    """D with AB: under the configurations that explain it, the posterior over those tried.
+    """Hypotheses about D with AB: the posterior over the configurations that were tried.
 
-    All configurations are tried where there are no more than `draws`, else as many drawn from the prior. Where few of these
-    explain AB, the neighbours of the best ones are tried next.
+    All configurations are tried where there are no more than `draws`. Otherwise `draws` of them are drawn from the prior.
+    If few of these explain AB, the neighbours of the best ones are tried next.
 
     Args:
         scenario: whose generator is meant.
@@ -97,7 +100,10 @@ def counterfactual_hypotheses(
 
 
 class _Tried:
-    """Configurations that AB was simulated under. error: configuration -> mean squared distance from what was seen, m²."""
+    """Configurations under which AB was simulated.
+
+    error: configuration -> mean squared distance of the simulated AB from the observed one, m².
+    """
 
     def __init__(
         self,
@@ -115,7 +121,7 @@ class _Tried:
 
     @property
     def likelihood(self) -> dict[int, float]:
-        """Of AB, up to a factor; 1 where it is as was seen."""
+        """Configuration -> likelihood of AB, up to a factor; 1 where the simulated AB is exactly the observed one."""
         return {c: float(np.exp(-error / (2 * self.noise**2))) for c, error in self.error.items()}
 
     def add(self, configurations: Iterable[int]) -> None:
@@ -129,7 +135,10 @@ class _Tried:
                 self.scene[configuration], self.error[configuration] = scene, float(distance.mean())
 
     def hypotheses(self, weight: dict[int, float], do_operation: DoOperation) -> list[Hypothesis]:
-        """D under all that are not negligible; relative to the best, so that one is left however badly all explain AB."""
+        """Simulates D under every configuration with a noticeable weight.
+
+        Weights are relative to the best configuration, so at least one always remains.
+        """
         least = min(self.error.values())
         posterior = {c: w * np.exp((least - self.error[c]) / (2 * self.noise**2)) for c, w in weight.items()}
         limit = MIN_RELATIVE_WEIGHT * max(posterior.values())

@@ -1,8 +1,10 @@
-"""How likely masses and gravity are in the data for a tower A and C (all frictions are as likely): the conditional distribution of
-the search, its cells and twins included.
+"""How likely each combination of masses and gravity is in the data, given the towers A and C.
 
-The search draws a cell and both twins' configurations first, and then geometries until one fits. So a geometry that fits many
-pairs of configurations comes from each of them with the pair's own probability, over the share of all geometries that fit it.
+This is the conditional distribution of the search, its cells and twins included. All frictions are equally likely.
+
+The search first draws a cell and both twins' configurations. Then it draws geometries until one fits. A geometry can fit
+many pairs of configurations. Each pair contributes its own probability, divided by the share of all geometries that fit
+that pair.
 """
 
 import numpy as np
@@ -56,7 +58,10 @@ class TowerPrior:
         return np.asarray(total / total.sum(axis=1, keepdims=True))
 
     def _fits(self, towers: tuple[Towers, Towers]) -> tuple[np.ndarray, np.ndarray]:
-        """Under which combinations each geometry fits each cell, (geometry, cell, combination): as first, and as second twin."""
+        """Under which combinations each geometry fits each cell, as the first twin and as the second.
+
+        Both are (geometry, cell, combination), 1 where it fits.
+        """
         statics = self._search.statics
         margins = np.stack([statics.margins(*tower, self._combinations) for tower in towers], axis=1)
         stands, falls = margins >= self._search.min_margin, margins <= -self._search.min_margin

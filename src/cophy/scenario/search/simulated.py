@@ -24,7 +24,7 @@ MAX_DO_OPERATIONS_PER_SCENE = 3
 
 @dataclass
 class SimulatedSearch(Scenario):
-    """A scenario whose twin pairs are found by simulating proposals.
+    """A scenario whose twin pairs are found by simulating random scenes.
 
     extent: every object stays within this distance of the origin in x and y, metres.
     """

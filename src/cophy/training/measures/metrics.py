@@ -1,7 +1,7 @@
 """How predictions are judged. Every experiment counts once, whatever its number of objects or its batch."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -13,17 +13,19 @@ from cophy.types import Prediction, Targets
 
 PerExperiment = Float[Tensor, "batch"]
 Measure = Callable[[Prediction, Targets], PerExperiment]
+Said = TypeVar("Said")  # what a model says, `Prediction` or a de-renderer's
+Truth = TypeVar("Truth")
 PIXEL_ERROR_RESOLUTION = 448  # paper Table 1: pixel errors are given at 448 x 448
 
 
-class ExperimentMean(MeanMetric):
+class ExperimentMean(MeanMetric, Generic[Said, Truth]):
     """Mean over experiments of a value per experiment."""
 
-    def __init__(self, measure: Callable[[Any, Any], Tensor]) -> None:
+    def __init__(self, measure: Callable[[Said, Truth], Tensor]) -> None:
         super().__init__()
         self.measure = measure
 
-    def update(self, prediction: Any, truth: Any) -> None:  # type: ignore[override]
+    def update(self, prediction: Said, truth: Truth) -> None:  # type: ignore[override]
         """Add a batch."""
         super().update(self.measure(prediction, truth))
 
@@ -109,7 +111,7 @@ def pixel_measures(task: Task, camera: Camera, num_objects: int) -> dict[str, Me
     return {"pixel_error": pixel_error(camera)} | levels
 
 
-def collection(measures: dict[str, Any], prefix: str) -> MetricCollection:
+def collection(measures: Mapping[str, Callable[[Said, Truth], Tensor]], prefix: str) -> MetricCollection:
     """Measures as torchmetrics accumulate them."""
     metrics: dict[str, Metric | MetricCollection] = {name: ExperimentMean(each) for name, each in measures.items()}
     return MetricCollection(metrics, compute_groups=False, prefix=prefix)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cophy.training.measures.metrics import over_objects
-from cophy.types import Inputs, Targets, map_tensors, rows
+from cophy.types import Inputs, Targets, map_tensors, take
 
 MAX_VALUES = 1000  # more than any grid has of friction
 
@@ -35,7 +35,7 @@ def estimate(network: nn.Module, inputs: Inputs, *, batch_size: int) -> Float[Te
     inputs = map_tensors(lambda tensor: tensor.to(dtype) if tensor.is_floating_point() else tensor, inputs)
     with torch.no_grad():
         for start in range(0, len(inputs), batch_size):
-            part = network.eval()(rows(inputs, slice(start, start + batch_size)))
+            part = network.eval()(take(inputs, slice(start, start + batch_size)))
             if part.confounder_estimate is None:
                 return None
             parts.append(part.confounder_estimate)

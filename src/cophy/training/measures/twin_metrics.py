@@ -109,7 +109,9 @@ def twin_collection(dims: int, prefix: str) -> MetricCollection:
         dims: Coordinates that count.
         prefix: Of their names.
     """
-    chosen = ExperimentMean(lambda prediction, targets: right_twin_chosen(prediction, targets, dims))
+    chosen: ExperimentMean[Prediction, Targets] = ExperimentMean(
+        lambda prediction, targets: right_twin_chosen(prediction, targets, dims)
+    )
     metrics: dict[str, Metric | MetricCollection] = {
         "twin_difference_explained": TwinDifferenceExplained(dims),
         "right_twin_chosen": chosen,

@@ -1,10 +1,10 @@
 """One run: what train.py does once. The configuration is taken apart in `cophy.app.assembly`.
 
-identity: the names of a run and its place among the others
-results: the files it leaves: metrics, predictions, or a note that it failed
-stages: what a run trains and tests: a de-renderer or a predictor
-oracle: the run of an oracle, which trains nothing
-execution: train (or adopt), test, write the results
-trainer: Lightning's Trainer as every run uses it
-reuse: finding a training that was the same, so that it is not done again
+identity: the names of a run and its place among the others.
+results: the files it leaves: metrics, predictions, or a note that it failed.
+stages: what a run trains and tests: a de-renderer or a predictor.
+oracle: the run of an oracle, which trains nothing.
+execution: train (or adopt), test, write the results.
+trainer: Lightning's Trainer as every run uses it.
+reuse: finding a training that was the same, so that it is not done again.
 """

@@ -43,7 +43,7 @@ class Measured:
 
 
 def forget_results(run: Run) -> None:
-    """Remove those of an earlier run: a stopped one must not pass for the one before it."""
+    """Remove the results of an earlier run, so that they cannot pass for those of this one."""
     for name in (METRICS, PREDICTIONS, FAILURE):
         (run.directory / name).unlink(missing_ok=True)
 
@@ -100,7 +100,7 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in ("initial", "presence", "target", "position", "pair")}
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise CophyError(f"{path} is missing or damaged ({error}): run that row again") from error
+        raise CophyError(f"{path} is missing or damaged ({error}): make that run again") from error
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

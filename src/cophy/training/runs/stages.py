@@ -18,7 +18,7 @@ from cophy.training.prediction_module import PredictionModule
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import Measured, write_predictions
 from cophy.training.settings import Training
-from cophy.types import rows
+from cophy.types import take
 
 
 @dataclass(frozen=True)
@@ -90,5 +90,5 @@ def prediction_stage(
         write_predictions(run.directory, prediction, batch.targets)
         return Measured(values, batch.targets.pair.numpy())
 
-    figures = PredictionFigures(rows(data.val.batch, slice(NUM_SHOWN)), scenario, figures_every_n_epochs)
+    figures = PredictionFigures(take(data.val.batch, slice(NUM_SHOWN)), scenario, figures_every_n_epochs)
     return Stage(data, module, figures, measure, data.derenderer.name if data.derenderer else None)

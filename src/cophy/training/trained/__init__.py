@@ -1,10 +1,10 @@
 """What comes out of training, and how it is used again.
 
-checkpoints: what train.py saves, read without running code from it
-resuming: whether a training may go on from a checkpoint
-network: a network from the name of its class and its arguments
-trained_derenderer: positions and presence from pictures; finding the de-renderer that a run needs
-derendering: what a trained de-renderer sees in a dataset, kept beside it
-trained_predictor: the network of a checkpoint and the scenario it knows
-counterfactual_prediction: from the pictures of AB and C to D (paper Fig. 2)
+checkpoints: what train.py saves, read without running code from it.
+resuming: whether a training may go on from a checkpoint.
+network: a network from the name of its class and its arguments.
+trained_derenderer: positions and presence from pictures; finding the de-renderer that a run needs.
+derendering: what a trained de-renderer sees in a dataset, kept beside it.
+trained_predictor: the network of a checkpoint and the scenario it knows.
+counterfactual_prediction: from the pictures of AB and C to D (paper Fig. 2).
 """

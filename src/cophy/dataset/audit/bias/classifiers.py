@@ -41,15 +41,18 @@ def ask_classifier(
 
 
 def foretold(features: np.ndarray, outcome: np.ndarray, twin: np.ndarray) -> np.ndarray:
-    """(experiment,) bool, what boosted trees make of the features, cross-validated over twin pairs.
+    """What boosted trees predict from the features, cross-validated over twin pairs.
 
-    They regress on 0 and 1, which allows a fold without one of them. They use one thread: several wait for each other on
-    trees this small, and beside other work that takes many times as long.
+    The trees regress on 0 and 1, so that a fold may lack one of the two outcomes. They use one thread. On trees this
+    small, several threads wait for each other; beside other work they take many times as long.
 
     Args:
         features: (experiment, feature).
         outcome: (experiment,) bool.
         twin: (experiment,) twin pair.
+
+    Returns:
+        (experiment,) bool.
     """
     found = np.zeros(len(outcome), dtype=bool)
     with threadpool_limits(1):

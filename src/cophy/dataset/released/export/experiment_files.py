@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from matplotlib.colors import to_rgb
+from PIL import ImageColor
 
 from cophy.dataset.released.formats.columns import SEQUENCES
 from cophy.dataset.released.formats.cophy_tasks import TASKS, CoPhyTask
@@ -64,7 +64,7 @@ def _write_sequence(directory: Path, experiment: Exported, sequence: int) -> Non
 def _palette(scenario: Scenario) -> np.ndarray:
     """(256, 3) uint8 colour of each slot; black where there is no object."""
     palette = np.zeros((NO_OBJECT + 1, 3), dtype=np.uint8)
-    palette[: scenario.num_slots] = np.round(255 * np.array([to_rgb(color) for color in scenario.colors.values()]))
+    palette[: scenario.num_slots] = [ImageColor.getrgb(color) for color in scenario.colors.values()]
     return palette
 
 

@@ -20,8 +20,8 @@ GRAVITY = re.compile(r"gravity_x=(\S+)\s+gravity_y=(\S+)")
 class CoPhy:
     """5 Hz, states by colour slot.
 
-    The generator writes states of towers from bottom to top and no colors.txt: then nobody knows which mass is whose.
-    Its gravity.txt holds frictions. Both are NaN.
+    The released tower generator writes states from bottom to top, and no colors.txt. Then it is unknown which mass belongs
+    to which block. Its gravity.txt holds frictions. Confounders of blocks and gravity are therefore NaN.
     """
 
     name = "cophy"
@@ -67,12 +67,15 @@ def _types_by_slot(path: Path, scenario: Scenario) -> dict[int, str]:
 
 
 def _is_padded(ab: np.ndarray, slots: list[int], num_slots: int) -> bool:
-    """Whether the columns of states.npy are slots, empty ones included; else they are objects."""
+    """Whether states.npy has one column per slot, empty slots included. Otherwise it has one per object."""
     return ab.shape[1] == num_slots and not _stacked_by_column(ab, slots)
 
 
 def _stacked_by_column(ab: np.ndarray, slots: list[int]) -> bool:
-    """Whether as many columns as slots are a tower from bottom to top, which they may be by slot too."""
+    """Whether a file with one column per slot lists the blocks from bottom to top instead of by slot.
+
+    A tower may fit both readings.
+    """
     height = ab[0, :, 2]
     if not ab[0].any(axis=-1).all() or (np.diff(height) <= 0).any():
         return False
@@ -80,7 +83,10 @@ def _stacked_by_column(ab: np.ndarray, slots: list[int]) -> bool:
 
 
 def _slots(ab: np.ndarray, listed: list[int], values: np.ndarray) -> list[int]:
-    """The slot of each column: as colors.txt lists them, or those that have a mass; which is which, nobody knows then."""
+    """The slot of each column, as colors.txt lists them.
+
+    Without colors.txt: the slots that have a mass, in an order that is unknown.
+    """
     slots, source = (listed, "colors.txt") if listed else (np.flatnonzero(values[:, 0] > 0).tolist(), "confounders.npy")
     if len(slots) != ab.shape[1]:
         raise BrokenExperimentError(f"states.npy has {ab.shape[1]} objects, {source} {len(slots)}")
@@ -98,7 +104,11 @@ def _confounders(path: Path, scenario: Scenario) -> np.ndarray:
 
 
 def _gravity_xy(path: Path, scenario: Scenario, *, trusted: bool) -> np.ndarray:
-    """Of gravity.txt where it is a confounder, NaN where nothing speaks for it; else the scenario's constant."""
+    """Horizontal gravity, m/s².
+
+    It is read from gravity.txt if the task has it as a confounder (NaN if the file is missing or not trusted). Otherwise
+    it is the scenario's constant.
+    """
     if not TASKS[scenario.name].has_gravity:
         return np.array([scenario.confounders.gravity_x[0], scenario.confounders.gravity_y[0]], dtype=float)
     if not trusted or not path.exists():

@@ -21,7 +21,7 @@ def measure(there: Path) -> list[Measured]:
     """CPU time of steps here ÷ there, for every kind and batch size."""
     if not (there / "benchmarks" / "speed_training.py").is_file():
         sys.exit(f"against={there} is no checkout of this repository")
-    with timed_steps(ROOT) as ours, timed_steps(there) as theirs:
+    with checkout_steps(ROOT) as ours, checkout_steps(there) as theirs:
         return [
             Measured(
                 f"CoPhyNet, {name}, batch {size}", "CPU time here ÷ there", compared(ours, theirs, kind, size), goal
@@ -32,9 +32,9 @@ def measure(there: Path) -> list[Measured]:
 
 
 @contextmanager
-def timed_steps(checkout: Path) -> Iterator["subprocess.Popen[str]"]:
-    """A process that answers how long steps of a checkout take (timed_steps.py)."""
-    command = [sys.executable, str(Path(__file__).with_name("timed_steps.py")), str(checkout.resolve())]
+def checkout_steps(checkout: Path) -> Iterator["subprocess.Popen[str]"]:
+    """A process that answers how long steps of a checkout take (checkout_steps.py)."""
+    command = [sys.executable, str(Path(__file__).with_name("checkout_steps.py")), str(checkout.resolve())]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, cwd=checkout, stdin=pipe, stdout=pipe, text=True, bufsize=1) as process:
         assert process.stdout is not None

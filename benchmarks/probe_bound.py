@@ -1,4 +1,4 @@
-"""What boosted trees read about masses and frictions off AB of towers of three: python benchmarks/readable.py [data_dir]
+"""What boosted trees read about masses and frictions off AB of towers of three: python benchmarks/probe_bound.py [data_dir]
 
 A bound from below on what the probe of CoPhyNet's U (paper Table 5) could find: the true positions of all frames of the
 dataset of 12,000 towers (docs/results.md says how to make it), blurred by independent Gaussian noise of a given size, one

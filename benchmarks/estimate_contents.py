@@ -1,6 +1,6 @@
 """What U of a trained CoPhyNet holds about masses and frictions of towers of three, asked in other ways than Table 5 asks:
 
-    python benchmarks/probes.py outputs/blocktower/3to3/cophynet/full/ground_truth/seed0 [data_dir]
+    python benchmarks/estimate_contents.py outputs/blocktower/3to3/cophynet/full/ground_truth/seed0 [data_dir]
 
 Classifiers are fitted on the training split and scored on the test split, one per level of the tower: logistic regression or
 boosted trees on U of the block itself, and boosted trees on U of all three blocks, all that CoPhyNet takes along to C, and their
@@ -67,11 +67,11 @@ def main(run: Path, data_dir: Path) -> None:
     )
     data.setup()
     network = TrainedPredictor(run / "checkpoints" / "best.ckpt", SCENARIOS).network
-    Console().print(probes(network, data.train.batch, data.test.batch))
+    Console().print(contents(network, data.train.batch, data.test.batch))
     Console().print(blurred(network, data.test.batch))
 
 
-def probes(network: nn.Module, train: Batch, test: Batch) -> Table:
+def contents(network: nn.Module, train: Batch, test: Batch) -> Table:
     """Accuracies in %, for all towers and for those whose A falls or stands.
 
     Args:
