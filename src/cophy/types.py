@@ -150,6 +150,17 @@ def map_tensors(function: Callable[..., Tensor], *batches: Tensors) -> Tensors:
     return type(first)(**mapped)
 
 
+def moved(batch: Tensors, device: torch.device, dtype: torch.dtype) -> Tensors:
+    """A batch on the device, and in the precision, of a network.
+
+    Args:
+        batch: Any dataclass of tensors.
+        device: Where its tensors go.
+        dtype: Of its floating-point numbers; masks and indices keep theirs.
+    """
+    return map_tensors(lambda tensor: tensor.to(device, dtype if tensor.is_floating_point() else None), batch)
+
+
 def take(batch: Tensors, index: slice | list[int] | Tensor) -> Tensors:
     """Some experiments of a batch."""
     chosen = torch.as_tensor(index) if isinstance(index, list) else index

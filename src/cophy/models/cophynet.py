@@ -86,7 +86,9 @@ class CoPhyNet(nn.Module):
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Predict D, one step per frame of AB after the first."""
-        if self.interaction is Interaction.mlp:  # has a weight per slot, so that slots must stay where they are
+        if (
+            self.interaction is Interaction.mlp
+        ):  # it has weights of its own for every slot, so slots must stay where they are
             return self._predict(inputs)
         packed, slots = pack(inputs)
         return unpack(self._predict(packed), slots, inputs.presence.shape[1])

@@ -1,8 +1,8 @@
 """From C and the confounders to D, gated by stability (paper Sec. 4.2).
 
-Both networks here, of stability and of displacement, get [o, u] of every object. The paper writes so for the stability.
-For the displacement it gives u to the neighbours but not to the object itself; that seems an oversight, for then an
-object would not know its own mass.
+There are two networks, one of stability and one of displacement. Here both get [o, u] of every object. The paper's
+equation for the stability has that. Its equation for the displacement gives u of the neighbours but not of the object
+itself. We take this for an oversight: an object would not know its own mass.
 
 u is what stands for the confounders: the estimate U, the true ones, or nothing (width 0).
 """
@@ -22,7 +22,8 @@ MakeConvolution = Callable[[int], nn.Module]  # from the width of a node to a gr
 def gate(stable_logit: Float[Tensor, "*any"], temperature: float) -> Float[Tensor, "*any"]:
     """σ((1 - s)/λ): the share of its displacement that an object makes (paper Sec. 4.2).
 
-    s is a logit, not a probability. An object counts as stable from s = 0 on; the paper's gate is half open at s = 1.
+    s is a logit, not a probability. The gate is half open at s = 1, as the paper has it. Whether an object is said to be
+    stable is another matter: that is decided at s = 0.
     """
     return torch.sigmoid((1 - stable_logit) / temperature)
 
@@ -30,7 +31,7 @@ def gate(stable_logit: Float[Tensor, "*any"], temperature: float) -> Float[Tenso
 class Rollout(nn.Module):
     """Step by step, each fed by the one before: o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t.
 
-    The GRU over the steps (ψ in the paper's appendix) is made of cells, because every step needs the one before.
+    The GRU over the steps is ψ in the paper's appendix. It takes one step at a time, because each needs the one before.
     """
 
     def __init__(
@@ -46,7 +47,7 @@ class Rollout(nn.Module):
         """Build the networks of stability and of displacement.
 
         Args:
-            make_convolution: Builds the graph convolution of each.
+            make_convolution: Builds a graph convolution; both networks have one.
             input_dim: Width of a node [o, u].
             hidden_dim: Width of all layers.
             gru_layers: GRU cells on top of each other.
@@ -108,7 +109,7 @@ class SingleStep(nn.Module):
         """Build the networks of stability and of displacement.
 
         Args:
-            make_convolution: Builds the graph convolution of each.
+            make_convolution: Builds a graph convolution; both networks have one.
             input_dim: Width of a node [o, u].
             hidden_dim: Width of all layers.
             temperature: λ of the gate.

@@ -18,7 +18,7 @@ from cophy.drawing.gifs import add_clip, mark
 from cophy.drawing.plots import draw_centres, draw_error_over_time, draw_trajectories, error_over_time
 from cophy.scenario import Scenario
 from cophy.training.trained.checkpoints import ORIGIN, Origin
-from cophy.types import Batch, map_tensors
+from cophy.types import Batch, moved
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +44,8 @@ class PredictionFigures(L.Callback):
         if not _is_time(trainer, self.every_n_epochs) or not isinstance(logger, TensorBoardLogger):
             return
         with torch.no_grad():
-            prediction = pl_module(map_tensors(lambda tensor: tensor.to(pl_module.device), self.shown))
+            assert isinstance(pl_module.dtype, torch.dtype)
+            prediction = pl_module(moved(self.shown, pl_module.device, pl_module.dtype))
         targets = self.shown.targets
         initial, predicted, true, presence = (
             tensor.cpu().numpy()

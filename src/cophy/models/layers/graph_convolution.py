@@ -30,7 +30,7 @@ class GraphConvolution(nn.Module):
     def forward(self, nodes: Float[Tensor, "batch slots input"], graph: Graph) -> Float[Tensor, "batch slots hidden"]:
         """From objects o to õ, which know of each other; the graph says over whom to average."""
         messages = self.f(nodes)  # f(o^k, o^j)
-        received = graph.sum_over_senders(messages)  # e^k
+        received = graph.sum_over_senders(messages)  # e^k; the weights of a mean are 1 over the number of senders
         everything = graph.mean_over_objects(received)  # e
         return self.g(torch.cat([nodes, received, everything], dim=-1))
 
@@ -58,5 +58,7 @@ class PairwiseMLP(nn.Module):
     def forward(self, nodes: Float[Tensor, "batch slots input"]) -> Float[Tensor, "batch others slots hidden"]:
         """The message that each slot gets from each of the others."""
         first = torch.relu(self.receiver(nodes)[:, None] + others(self.sender(nodes)))
-        pairs = first.flatten(0, 2)  # one row per pair: only so can ReLU work in place
+        pairs = first.flatten(
+            0, 2
+        )  # one row per pair; of more dimensions PyTorch would copy what ReLU changes in place
         return self.further(pairs).view_as(first)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cophy.training.measures.metrics import over_objects
-from cophy.types import Inputs, Targets, map_tensors, take
+from cophy.types import Inputs, Targets, moved, take
 
 MAX_VALUES = 1000  # more than any grid has of friction
 
@@ -31,8 +31,8 @@ def estimate(network: nn.Module, inputs: Inputs, *, batch_size: int) -> Float[Te
     Returns:
         U, or None if the network makes none.
     """
-    parts, dtype = [], next((parameter.dtype for parameter in network.parameters()), torch.float32)
-    inputs = map_tensors(lambda tensor: tensor.to(dtype) if tensor.is_floating_point() else tensor, inputs)
+    parts, weights = [], next(network.parameters(), torch.zeros(()))
+    inputs = moved(inputs, weights.device, weights.dtype)
     with torch.no_grad():
         for start in range(0, len(inputs), batch_size):
             part = network.eval()(take(inputs, slice(start, start + batch_size)))
