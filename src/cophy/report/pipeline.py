@@ -41,7 +41,9 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
     runs = read_runs(outputs, choices.keys_of)
     filled = [fill(table, runs, stored_errors) for table in paper_tables()]
     drawn = _show_tables(filled)
-    _write_tables(directory, filled, runs)
+    twins = twin_tables(runs)
+    _show_twins(twins)
+    _write_tables(directory, filled, twins, runs)
     finished = runs[runs["error"].isna()] if len(runs) else runs
     if len(finished):
         scenarios = {str(name): choices.scenario(str(name)) for name in finished["scenario"].unique()}
@@ -70,8 +72,17 @@ def _show_tables(filled: list[FilledTable]) -> dict[str, Figure]:
     return drawn
 
 
-def _write_tables(directory: Path, filled: list[FilledTable], runs: pd.DataFrame) -> None:
-    """Tables as Markdown, LaTeX and CSV, and a summary of everything that was run, which is printed too."""
+def _write_tables(
+    directory: Path, filled: list[FilledTable], twins: Mapping[str, pd.DataFrame], runs: pd.DataFrame
+) -> None:
+    """Tables as Markdown, LaTeX and CSV, and a summary of everything that was run, which is printed too.
+
+    Args:
+        directory: Where they go.
+        filled: The paper's tables.
+        twins: Title to table, see `twin_tables`.
+        runs: See `read_runs`.
+    """
     everything = summary(runs)
     if len(everything):
         caption = "Mean over seeds, ± standard deviation where there are several. All metrics: tables.md, runs.csv."
@@ -79,7 +90,7 @@ def _write_tables(directory: Path, filled: list[FilledTable], runs: pd.DataFrame
         table_formats.show("Everything that was run", everything[shown], caption)
     written = {
         "tables.md": "\n".join(map(table_formats.markdown, filled))
-        + _twins(runs)
+        + _twin_sections(twins)
         + f"\n## Everything that was run\n\n{everything.to_markdown(index=False)}\n",
         "tables.tex": "\n".join(map(table_formats.latex, filled)),
         "runs.csv": runs.to_csv(index=False),
@@ -89,13 +100,16 @@ def _write_tables(directory: Path, filled: list[FilledTable], runs: pd.DataFrame
         write_atomically(directory / name, text.encode())
 
 
-def _twins(runs: pd.DataFrame) -> str:
-    """What predictions tell of twins: printed, and as sections of Markdown."""
-    sections = []
-    for title, table in twin_tables(runs).items():
-        table_formats.show(title, table.T.reset_index(names=""), CAPTION)
-        sections.append(f"\n## {title}\n\n{table.to_markdown()}\n\n{CAPTION}\n")
-    return "".join(sections)
+def _show_twins(twins: Mapping[str, pd.DataFrame]) -> None:
+    """Print what predictions tell of twins; one caption is for all tables."""
+    for number, (title, table) in enumerate(twins.items(), start=1):
+        table_formats.show(title, table.reset_index(names=""), CAPTION if number == len(twins) else "")
+
+
+def _twin_sections(twins: Mapping[str, pd.DataFrame]) -> str:
+    """The same as sections of Markdown."""
+    sections = [f"\n## {title}\n\n{table.to_markdown()}\n" for title, table in twins.items()]
+    return "".join([*sections, f"\n{CAPTION}\n"]) if sections else ""
 
 
 def _write_difficulty(
