@@ -13,7 +13,6 @@ from measure import Measured, paired
 from cophy.app.composition import composed, settings, to_plain
 from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
 from cophy.models.cophynet import CoPhyNet
-from cophy.training.augmentation import symmetries_for
 from cophy.training.losses import position_loss, stability_loss
 from cophy.training.prediction_module import PredictionModule
 from cophy.training.trained.network import build_network
@@ -126,7 +125,7 @@ def whole_epochs(batch_size: int) -> list[float]:
 def lightning_module(model: CoPhyNet) -> PredictionModule:
     """As a run has it, towers of three."""
     chosen = settings("train")
-    symmetries = symmetries_for(chosen.split.train, chosen.scenario)
+    symmetries = chosen.scenario.symmetries()
     return PredictionModule(
         model, chosen.training, chosen.scenario, symmetries=symmetries, missed_position=torch.zeros(3)
     )

@@ -24,6 +24,19 @@ CONFOUNDERS = (
 # indices of the x and y components of the vectors among them
 HORIZONTAL = [[CONFOUNDERS.index(f"{vector}_{axis}") for axis in "xy"] for vector in ("gravity", "velocity", "axis")]
 
+# Features per object of `Inputs.object_type`: 1 for what it is, else 0
+OBJECT_TYPES = ("box", "sphere", "cylinder")
+
+# Features per object of `Inputs.pose`, the same wherever an object looks the same. A block that stands on its base and has
+# the yaw ψ: cos 4ψ, sin 4ψ. A cylinder whose axis, a line without a sign, has the direction ψ and the height z (1: upright),
+# with r² = 1 - z²: r² cos 2ψ, r² sin 2ψ, r z cos ψ, r z sin ψ, z². All others are 0, and all of a sphere.
+POSE = ("block_cos_4", "block_sin_4", "axis_cos_2", "axis_sin_2", "axis_cos_1", "axis_sin_1", "axis_upright")
+
+# n -> the indices of cos nψ and sin nψ among them
+POSE_ANGLES = {
+    n: [POSE.index(f"{of}_{part}_{n}") for part in ("cos", "sin")] for of, n in (("axis", 1), ("axis", 2), ("block", 4))
+}
+
 
 @dataclass
 class Inputs:
@@ -39,6 +52,8 @@ class Inputs:
         presence: Which slots hold an object in C, and so in D.
         confounders: The true confounders (`CONFOUNDERS`), standardised over the training set; None unless the
             configuration of the model asks for them.
+        object_type: What each object of AB is (`OBJECT_TYPES`); likewise None unless asked for.
+        pose: How each object is turned at t = 0 (`POSE`), the same in A and C; likewise None unless asked for.
     """
 
     observed: Float[Tensor, "batch time slots 3"]
@@ -47,6 +62,8 @@ class Inputs:
     initial: Float[Tensor, "batch slots 3"]
     presence: Bool[Tensor, "batch slots"]
     confounders: Float[Tensor, "batch slots features"] | None = None
+    object_type: Float[Tensor, "batch slots 3"] | None = None
+    pose: Float[Tensor, "batch slots 7"] | None = None
 
     def __len__(self) -> int:
         return len(self.initial)
@@ -116,11 +133,14 @@ class Prediction:
         stable_logit: Positive where the object is said to be stable; a single step where that is decided once for the
             whole sequence. None if the model does not say.
         confounder_estimate: The latent estimate U. None if the model makes none.
+        draw_variance: Where the position is a mean of random draws (oracles), the variance that it owes to them, m².
+            Squared errors are without it.
     """
 
     position: Float[Tensor, "batch steps slots 3"]
     stable_logit: Float[Tensor, "batch steps_or_one slots"] | None = None
     confounder_estimate: Float[Tensor, "batch slots hidden"] | None = None
+    draw_variance: Float[Tensor, "batch steps slots 3"] | None = None
 
     def __len__(self) -> int:
         return len(self.position)

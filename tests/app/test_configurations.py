@@ -10,6 +10,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from cophy.app.composition import CONF, composed, settings
+from cophy.dataset.store.experiment_set import ORACLES
 from cophy.report.tables.paper_tables import PaperTable, paper_tables
 from tests.commands import run, run_apart
 from tests.conftest import ROOT, SCENARIOS
@@ -67,12 +68,20 @@ def test_every_split_of_a_scenario_exists_under_its_own_name(name: str) -> None:
         assert {chosen.train.num_objects, chosen.test.num_objects} <= set(scenario.num_objects)
 
 
+def test_splits_that_share_a_training_train_equally_long() -> None:
+    """And those that train on half of the data, twice as long as those that train on all."""
+    for name in SCENARIOS:
+        splits = settings("train", f"scenario={name}").scenario.task.splits
+        for split in (settings("train", f"scenario={name}", f"split={split}").split for split in splits):
+            assert split.epochs_factor == (2 if split.train.configurations == "seen" else 1)
+
+
 def test_every_split_belongs_to_a_scenario() -> None:
     known = {split for name in SCENARIOS for split in settings("train", f"scenario={name}").scenario.task.splits}
     assert {path.stem for path in (ROOT / "conf" / "split").iterdir()} == known
 
 
-@pytest.mark.parametrize("group", ["scenario", "source_scenario", "model", "trainer", "size"])
+@pytest.mark.parametrize("group", ["scenario", "confounders", "source_scenario", "model", "trainer", "size"])
 def test_every_number_in_conf_has_its_source(group: str) -> None:
     for path in (ROOT / "conf" / group).iterdir():
         for line in path.read_text().splitlines():
@@ -85,6 +94,55 @@ def test_every_number_in_conf_has_its_source(group: str) -> None:
                 assert source.strip(), f"{path.name}: {line}"
 
 
+GRIDS = {
+    "text": ([1, 10], [0.5, 1]),
+    "released": ([1, 2, 5], [0.1, 0.5, 1]),
+}
+
+
+@pytest.mark.parametrize("name", ["balls", "collision"])
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize("command", ["train", "generate", "audit", "export", "derender", "look"])
+def test_every_command_on_data_takes_either_grid_of_confounders(command: str, grid: str, name: str) -> None:
+    needed = ["root=anywhere"] if command == "export" else []
+    chosen = settings(command, f"scenario={name}", f"confounders={grid}", *needed).scenario.confounders
+    assert (chosen.mass, chosen.friction) == GRIDS[grid]
+
+
+@pytest.mark.parametrize("name", ["balls", "collision"])
+def test_restitution_is_a_confounder_of_the_released_grid_alone(name: str) -> None:
+    text, released = (settings("train", f"scenario={name}", f"confounders={grid}").scenario for grid in GRIDS)
+    assert len(text.confounders.restitution) == 1
+    assert released.confounders.restitution == [0.1, 0.5, 1]
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize("name", ["balls", "collision"])
+def test_released_data_have_their_own_confounders_whatever_is_chosen(name: str, grid: str) -> None:
+    ours = settings("audit", f"scenario={name}", "confounders=released").scenario.confounders
+    theirs = settings("audit", f"scenario={name}", f"confounders={grid}", "source=cophy").scenario.confounders
+    assert theirs == ours
+    filtered = settings("audit", f"scenario={name}", f"confounders={grid}", "source=filtered_cophy").scenario
+    assert (filtered.confounders.mass, filtered.confounders.friction) == ([1, 10], [0.5])
+
+
+def test_a_single_value_of_a_grid_can_be_given() -> None:
+    given = settings("generate", "scenario=balls", "confounders=released", "scenario.confounders.mass=[1,10]").scenario
+    assert (given.confounders.mass, given.confounders.friction) == ([1, 10], [0.1, 0.5, 1])
+
+
+def test_a_sweep_goes_through_both_grids(tmp_path: Path) -> None:
+    printed = run(
+        "generate",
+        "-m",
+        "confounders=glob(*)",
+        "scenario=balls",
+        "size=tiny",
+        f"data_dir={tmp_path}",
+    )
+    assert len(list((tmp_path / "balls").iterdir())) == 2, printed
+
+
 MISTAKES = {
     "scenario=ballz": "scenario=ballz does not exist (did you mean balls?); there are balls, blocktower, collision",
     "model.hidden_dim=abc": "model.hidden_dim: Value 'abc' of type 'str' could not be converted to Integer",
@@ -95,6 +153,8 @@ MISTAKES = {
     "model.hidden_dim=0": "model: hidden_dim",
     "training.learning_rate=-1": "training: batch_size and learning_rate must be positive",
     "positions=guessed": "positions=guessed is not among ground_truth",
+    "scenario=blocktower confounders=released": "confounders=released does not go with this scenario, which has one grid; it goes with balls and collision",
+    "scenario=balls confounders=relesed": "confounders=relesed does not exist (did you mean released?); there are released, text",
     "scenario=collision split=3to4": "split=3to4 does not go with collision: use all, sphere_to_cylinder, cylinder_to_sphere",
     "model=copy_c ablation=static_gating": "ablation=static_gating does not go with this model: Key 'gating' not in 'CopyCConfig'",
     "model=in ablation=feedforward": "ablation=feedforward does not go with this model: Invalid value 'none'",
@@ -109,6 +169,7 @@ MISTAKES = {
     "model._target_=collections.Counter": "model._target_=collections.Counter is not a torch.nn.Module",
     "ckpt=nowhere.ckpt": "ckpt=nowhere.ckpt is no file",
     f"ckpt={ROOT}/README.md": "is no checkpoint of train.py, or a damaged one",
+    "split.epochs_factor=0": "split: epochs_factor=0 must be at least 1",
     "trainer.max_epochs=0": "trainer.max_epochs=0 must be positive",
     "seed=0 data_seed=-1": "data_seed=-1 must be at least 0",
     "scenario.confounders.mass=[1] scenario.confounders.friction=[1] scenario=balls": "too few configurations for twins",
@@ -165,7 +226,7 @@ def test_the_sweep_of_a_table_runs_what_its_cells_show(table: PaperTable) -> Non
     swept = {(scenario, split, *method, seen) for scenario, split, method, seen in product}
     cells = [
         {"positions": "ground_truth", **table.select, **row, **column}
-        for row, column in itertools.product(table.rows.values(), table.columns.values())
+        for row, column in itertools.product([*table.rows.values(), *table.controls.values()], table.columns.values())
     ]
     names = ("scenario", "split", "model", "ablation", "positions")
     shown = {tuple(cell[name] for name in names) for cell in cells}
@@ -186,3 +247,16 @@ def test_the_seed_of_a_dataset_may_be_called_seed(command: str, key: str) -> Non
 def test_the_seed_of_a_training_is_not_that_of_its_dataset() -> None:
     chosen = settings("train", "seed=3")
     assert (chosen.seed, chosen.data_seed) == (3, 0)
+
+
+@pytest.mark.parametrize("scenario", ["blocktower", "balls", "collision"])
+def test_every_split_of_a_table_is_tested_by_every_oracle(scenario: str) -> None:
+    """So that no column of oracles stays empty."""
+    table = next(table for table in paper_tables() if table.id == scenario)
+    tested = {row["split"] for row in table.rows.values()}
+    oracles = {column["model"] for label, column in table.columns.items() if label in table.oracles}
+    assert oracles == {f"oracle_{oracle}" for oracle in ORACLES}
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        params = compose("train", [f"+table={scenario}"], return_hydra_config=True).hydra.sweeper.params
+    assert tested <= set(params["split"].split(","))
+    assert oracles <= set(params["+row"].split(","))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from cophy.dataset.spec import FORMAT_VERSION
 from cophy.dataset.store.manifest import MANIFEST
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
@@ -75,3 +76,17 @@ def test_a_full_disk_is_said_in_one_line_and_loses_nothing(
     monkeypatch.setattr(States, "write_manifest", full)
     with pytest.raises(CophyError, match=r"no space left .*2 of 2 shards are done.*same command again"):
         generate(tmp_path, workers=1)
+
+
+def test_a_dataset_of_another_format_is_named_with_its_remedy(finished: Path, tmp_path: Path, caplog) -> None:
+    """Beside the one that is wanted; in the log of what makes it, and in the error of what only reads."""
+    old = copy(finished, tmp_path)
+    older = old.with_name(f"{old.name.rsplit('-', 1)[0]}-0badc0de")
+    old.rename(older)
+    text = (older / MANIFEST).read_text()
+    (older / MANIFEST).write_text(text.replace(f'"format": {FORMAT_VERSION}', '"format": 2'))
+    with pytest.raises(CophyError, match=r"not finished.*0badc0de is of format 2.*delete it, or use it with"):
+        States(SPEC, tmp_path).load()
+    generate(tmp_path, workers=2)
+    assert "0badc0de is of format 2" in caplog.text
+    assert (older / MANIFEST).exists()

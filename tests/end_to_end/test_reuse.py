@@ -4,8 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
+from cophy.dataset.store.states import States
 from tests.commands import train
+from tests.conftest import tiny_spec
 
 HALVES = ("scenario=balls", "trainer.max_epochs=1")
 
@@ -15,17 +18,25 @@ def result(root: Path, split: str) -> dict:
 
 
 def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path: Path) -> None:
-    printed = train("-m", *HALVES, "split=4to4,4to2", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
+    printed = train("-m", *HALVES, "split=4to4,4to3", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
     assert printed.count("trained already") == 1
     assert str(tmp_path / "balls/4to4/cophynet/full/ground_truth/seed0/checkpoints") in printed
-    assert result(tmp_path, "4to2")["metrics"]["mse"] != result(tmp_path, "4to4")["metrics"]["mse"]
-    assert result(tmp_path, "4to2")["training_seconds"] == result(tmp_path, "4to4")["training_seconds"]
+    assert result(tmp_path, "4to3")["metrics"]["mse"] != result(tmp_path, "4to4")["metrics"]["mse"]
+    assert result(tmp_path, "4to3")["training_seconds"] == result(tmp_path, "4to4")["training_seconds"]
     named = "scenario.task.splits=[4to4,4to2,4to3,4to5,4to6,mine]"  # a split more does not train the others again
-    assert "trained already" in train("-m", *HALVES, named, "split=4to2", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
-    alone = train(*HALVES, "split=4to2", f"hydra.run.dir={tmp_path / 'alone'}", data=tiny_data)
+    assert "trained already" in train("-m", *HALVES, named, "split=4to3", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
+    alone = train(*HALVES, "split=4to3", f"hydra.run.dir={tmp_path / 'alone'}", data=tiny_data)
     assert "trained already" not in alone
     metrics = json.loads((tmp_path / "alone" / "metrics.json").read_text())["metrics"]
-    assert metrics == result(tmp_path, "4to2")["metrics"]  # reuse changes no number
+    assert metrics == result(tmp_path, "4to3")["metrics"]  # reuse changes no number
+
+
+def test_a_training_on_half_of_the_data_takes_twice_the_epochs(tiny_data: Path, tmp_path: Path) -> None:
+    arrays = States(tiny_spec("blocktower"), tiny_data).load()
+    tested = "3to3_seen" if arrays["seen"][arrays["split"] == 2].any() else "3to3_unseen"
+    train("trainer.max_epochs=1", f"split={tested}", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    assert json.loads((tmp_path / "metrics.json").read_text())["max_epochs"] == 2
+    assert torch.load(tmp_path / "checkpoints" / "last.ckpt", weights_only=True)["epoch"] == 1
 
 
 def test_another_training_is_not_reused(tiny_data: Path, tmp_path: Path) -> None:

@@ -1,15 +1,18 @@
 """Networks as conf/ has them, and random experiments to feed them."""
 
+from dataclasses import fields
+
 import torch
 from torch import Tensor, nn
 
 from cophy.app.composition import composed, to_plain
 from cophy.training.trained.network import build_network
-from cophy.types import CONFOUNDERS, Batch, Inputs, Targets
+from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, Batch, Inputs, Prediction, Targets
 
 ABLATIONS = ("full", "static_gating", "mlp", "single_step", "feedforward", "gt_confounders")
 INTERACTION_NETWORKS = ("in", "npe", "in gt_confounders", "npe gt_confounders")
 BASELINES = (*INTERACTION_NETWORKS, "copy_b", "copy_c")
+SEES_LOOKS = ("model.object_type=true", "model.pose=true")
 
 
 def build(choice: str, *overrides: str) -> nn.Module:
@@ -37,6 +40,8 @@ def random_batch(num_slots: int, num_objects: list[int], num_frames: int = 30) -
         initial=random(num_slots, 3) * presence[..., None],
         presence=presence,
         confounders=random(num_slots, len(CONFOUNDERS)) * observed_presence[..., None],
+        object_type=random(num_slots, len(OBJECT_TYPES)) * observed_presence[..., None],
+        pose=random(num_slots, len(POSE)) * observed_presence[..., None],
     )
     targets = Targets(
         position=random(num_frames - 1, num_slots, 3),
@@ -48,3 +53,16 @@ def random_batch(num_slots: int, num_objects: list[int], num_frames: int = 30) -
         pair=torch.arange(size) // 2,
     )
     return Batch(inputs, targets)
+
+
+def permuted(inputs: Inputs, order: list[int]) -> Inputs:
+    """The same experiments with their slots in another order; what is not among the inputs stays so."""
+    axes = {"observed": 2, "observed_stable": 2}
+    tensors = {each.name: getattr(inputs, each.name) for each in fields(inputs)}
+    given = {name: tensor for name, tensor in tensors.items() if tensor is not None}
+    return Inputs(**{name: t.index_select(axes.get(name, 1), torch.tensor(order)) for name, t in given.items()})
+
+
+def present(prediction: Prediction, inputs: Inputs) -> Tensor:
+    """Positions of the objects that are there; zero for all others."""
+    return prediction.position * inputs.presence[:, None, :, None]

@@ -62,12 +62,21 @@ def cophynet(network: CoPhyNet, inputs: Inputs) -> tuple[Tensor, Tensor, Tensor 
         u = estimate(network, inputs)
     if network.source is ConfounderSource.ground_truth:
         u = {k: inputs.confounders[0, k] for k in u}
+    looks = looks_of(network, inputs)
+    known = {k: torch.cat([u[k], looks[k]]) for k in u}
     start = {k: inputs.initial[0, k] for k in present(inputs.presence)}
     unroll = rollout if isinstance(network.decoder, Rollout) else single_step
-    positions, logits = unroll(network.decoder, start, u, num_slots, num_steps)
+    positions, logits = unroll(network.decoder, start, known, num_slots, num_steps)
     width = network.estimate_dim
     stacked = torch.stack([u.get(k, torch.zeros(width)) for k in range(num_slots)]) if width else None
     return in_slots(positions, num_slots, 3), in_slots(logits, num_slots, 1).squeeze(-1), stacked
+
+
+def looks_of(network: nn.Module, inputs: Inputs) -> Nodes:
+    """What the network is told of every object of AB: its type, then its pose."""
+    told = [inputs.object_type] if network.appearance.object_type else []
+    told += [inputs.pose] if network.appearance.pose else []
+    return {k: torch.cat([torch.zeros(0), *(part[0, k] for part in told)]) for k in present(inputs.observed_presence)}
 
 
 def in_slots(steps: list[Nodes], num_slots: int, width: int) -> Tensor:
@@ -76,10 +85,11 @@ def in_slots(steps: list[Nodes], num_slots: int, width: int) -> Tensor:
 
 def estimate(network: CoPhyNet, inputs: Inputs) -> Nodes:
     """U of every object of AB."""
-    objects, frames = present(inputs.observed_presence), []
+    looks, frames = looks_of(network, inputs), []
     for frame in inputs.observed[0]:
-        frames.append(convolve(network.estimator.convolution, {k: frame[k] for k in objects}, len(frame)))
-    return {k: network.estimator.gru(torch.stack([frame[k] for frame in frames]))[0][-1] for k in objects}
+        nodes = {k: torch.cat([frame[k], looks[k]]) for k in looks}
+        frames.append(convolve(network.estimator.convolution, nodes, len(frame)))
+    return {k: network.estimator.gru(torch.stack([frame[k] for frame in frames]))[0][-1] for k in looks}
 
 
 def moved_share(decoder: nn.Module, logit: Tensor) -> Tensor:
@@ -125,11 +135,12 @@ def single_step(
 def interaction_network(network: InteractionNetwork, inputs: Inputs) -> tuple[Tensor, None, None]:
     """One experiment of IN, or of NPE: positions (steps, K, 3)."""
     objects = present(inputs.presence)
+    looks = looks_of(network, inputs)
     given = {k: inputs.confounders[0, k] if network.confounders else torch.zeros(0) for k in objects}
     position, positions = {k: inputs.initial[0, k] for k in objects}, []
     displacement = {k: torch.zeros(3) for k in objects}
     for _ in range(inputs.num_steps):
-        state = {k: torch.cat([position[k], displacement[k], given[k]]) for k in objects}
+        state = {k: torch.cat([position[k], displacement[k], given[k], looks[k]]) for k in objects}
         effects = {}
         for k in objects:
             near = [j for j in objects if j != k]

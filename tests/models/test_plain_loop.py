@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from cophy.training.losses import position_loss, stability_loss
 from cophy.types import Batch, Inputs, Prediction
 from tests.models import plain_loop
-from tests.models.networks import ABLATIONS, INTERACTION_NETWORKS, build, random_batch
+from tests.models.networks import ABLATIONS, INTERACTION_NETWORKS, SEES_LOOKS, build, random_batch
 
 NUM_FRAMES = 7
 
@@ -31,10 +31,14 @@ def outcome(
     return seen, {name: parameter.grad.clone() for name, parameter in network.named_parameters()}
 
 
-@pytest.mark.parametrize("num_objects", [[3, 3, 3, 3], [4, 3, 1, 2, 2, 4]], ids=str)
+@pytest.mark.parametrize(
+    ("num_objects", "looks"),
+    [([3, 3, 3, 3], ()), ([4, 3, 1, 2, 2, 4], ()), ([4, 3, 1, 2], SEES_LOOKS), ([4, 3, 1, 2], SEES_LOOKS[1:])],
+    ids=str,
+)
 @pytest.mark.parametrize("choice", [*ABLATIONS, *INTERACTION_NETWORKS])
-def test_a_network_is_its_plain_loop(choice: str, num_objects: list[int]) -> None:
-    narrow = ["model.hidden_dim=24"]  # unlike the width of any input, so that no two can be mixed up
+def test_a_network_is_its_plain_loop(choice: str, num_objects: list[int], looks: tuple[str, ...]) -> None:
+    narrow = ["model.hidden_dim=24", *looks]  # unlike the width of any input, so that no two can be mixed up
     if choice == "single_step":
         narrow.append(f"scenario.clock.num_frames={NUM_FRAMES}")
     if choice.startswith("npe"):

@@ -1,15 +1,15 @@
 """Predictors by property."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from cophy.models.baselines import CopyB, CopyC
 from cophy.training.losses import position_loss, stability_loss
-from cophy.types import Batch, Inputs, Prediction, map_tensors, take
-from tests.models.networks import ABLATIONS, BASELINES, build
+from cophy.types import Batch, Inputs, map_tensors, take
+from tests.models.networks import ABLATIONS, BASELINES, build, permuted, present
 
 
 @pytest.fixture(params=[*(name for name in ABLATIONS if name != "mlp"), *BASELINES])
@@ -26,16 +26,6 @@ def any_network(request: pytest.FixtureRequest) -> nn.Module:
 def inputs(tower_batch: Batch) -> Inputs:
     """What is seen of all tiny towers."""
     return tower_batch.inputs
-
-
-def present(prediction: Prediction, inputs: Inputs) -> Tensor:
-    return prediction.position * inputs.presence[:, None, :, None]
-
-
-def permuted(inputs: Inputs, order: list[int]) -> Inputs:
-    axes = {"observed": 2, "observed_stable": 2}
-    tensors = {field.name: getattr(inputs, field.name) for field in fields(inputs)}
-    return Inputs(**{name: t.index_select(axes.get(name, 1), torch.tensor(order)) for name, t in tensors.items()})
 
 
 def test_permuting_objects_permutes_the_prediction(network: nn.Module, inputs: Inputs) -> None:

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import torch
 
+from cophy.bootstrap import mean
 from cophy.dataset.feed.batches import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, Part
@@ -39,9 +40,9 @@ def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, 
     directory = directory / f"seed{seed}"
     directory.mkdir()
     write_predictions(directory, prediction, targets)
-    mse = evaluate(prediction, targets, SPEC.scenario)["mse"].mean()
-    line = run("cophynet", seed=seed, size="tiny", directory=directory, dataset_ids=[SPEC.id], mse=mse)
-    return line | changes
+    measured = {name: mean(values) for name, values in evaluate(prediction, targets, SPEC.scenario).items()}
+    line = run("cophynet", seed=seed, size="tiny", directory=directory, dataset_ids=[SPEC.id])
+    return line | measured | changes
 
 
 def broken_down(lines: list[dict[str, Any]], arrays: dict[str, np.ndarray], spec: DatasetSpec = SPEC) -> pd.DataFrame:
@@ -57,7 +58,19 @@ def test_groups_add_up_to_the_mse_of_the_run(arrays: dict[str, np.ndarray], tmp_
         if by != "displacement":  # removals have none
             assert group["experiments"].sum() == SPEC.num_experiments
             assert np.average(group["mse"], weights=group["experiments"]) == pytest.approx(line["mse"], rel=1e-4)
-    assert found["experiments"][found["by"] == "cell"].tolist() == [10, 10, 10, 10]
+    assert found["experiments"][found["by"] == "cell"].sum() == SPEC.num_experiments
+
+
+def test_what_is_explained_of_twins_is_as_in_metrics_json_and_given_per_kind_of_pair(
+    arrays: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    line = finished_run(arrays, tmp_path)
+    found = broken_down([line], arrays)
+    assert found["explained"][found["by"] == ALL].tolist() == pytest.approx([line["twin_difference_explained"]])
+    kinds = found[found["by"] == "twins"]
+    assert kinds["group"].tolist() == ["both fall falls or both fall stands", "falls falls or stands stands"]
+    assert kinds["explained"].notna().all()
+    assert found["explained"][found["by"] == "cell"].isna().all()
 
 
 def test_seeds_are_averaged_per_experiment(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:

@@ -62,10 +62,17 @@ def test_both_outcomes_tell_the_twins_apart(tiny) -> None:
     assert (distance >= spec.scenario.min_difference - 1e-4).all()
 
 
-def test_cells_are_level(tiny) -> None:
+def test_both_cells_of_a_pair_are_met_as_often(tiny) -> None:
     spec, arrays = tiny
     counts = np.bincount(arrays["cell"], minlength=len(spec.scenario.cells()))
-    assert np.ptp(counts) == 0
+    for first, second in {tuple(pair) for pair in arrays["cell"].reshape(-1, 2).tolist()}:
+        assert counts[first] == counts[second]
+
+
+@pytest.mark.parametrize("name", ["balls", "collision"])
+def test_cells_are_level_where_there_is_one_kind_of_block(name: str, tiny_data: Path) -> None:
+    arrays = States(tiny_spec(name), tiny_data).load()
+    assert np.ptp(np.bincount(arrays["cell"])) == 0
 
 
 def test_empty_slots_are_zero(tiny) -> None:

@@ -58,7 +58,8 @@ def test_a_network_is_given_inputs_and_nothing_of_d(tower_batch: Batch) -> None:
     module_of(Returning(lambda inputs: seen.append(inputs) or CopyC()(inputs)))(tower_batch)
     assert seen == [tower_batch.inputs]
     names = {field.name for field in fields(Inputs)}
-    assert names == {"observed", "observed_presence", "observed_stable", "initial", "presence", "confounders"}
+    always = {"observed", "observed_presence", "observed_stable", "initial", "presence"}
+    assert names == always | {"confounders", "object_type", "pose"}
 
 
 def test_a_prediction_that_is_not_finite_stops_the_training(

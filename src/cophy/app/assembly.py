@@ -14,6 +14,7 @@ from cophy.app.datasets import experiments_of
 from cophy.app.model_schemas import OracleConfig
 from cophy.app.schemas import ESTIMATED, TrainConfig
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.dataset.feed.frame_datamodule import FrameDataModule
 from cophy.dataset.store.forecasts import OracleSettings
 from cophy.errors import CophyError
@@ -22,6 +23,7 @@ from cophy.training.runs.execution import Plan, carry_out
 from cophy.training.runs.identity import Run
 from cophy.training.runs.oracle import carry_out_oracle
 from cophy.training.runs.stages import Stage, derendering_stage, prediction_stage
+from cophy.training.runs.trainer import with_epochs
 from cophy.training.trained.checkpoints import Origin
 from cophy.training.trained.network import build_network
 from cophy.training.trained.resuming import check_resumable
@@ -45,8 +47,9 @@ def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> di
     if isinstance(settings.model, OracleConfig):
         return _carry_out_oracle(settings, settings.model, run, started)
     resume = None if settings.ckpt is None else Path(settings.ckpt)
-    plan = Plan(plain["trainer"], settings.seed, settings.threads, settings.reuse, resume, started)
     stage, origin = _stage(settings, plain, run, resume)
+    trainer = with_epochs(plain["trainer"], stage.epochs_factor)
+    plan = Plan(trainer, settings.seed, settings.threads, settings.reuse, resume, started)
     return carry_out(run, stage, plan, origin)
 
 
@@ -57,7 +60,7 @@ def _stage(settings: TrainConfig, plain: dict[str, Any], run: Run, resume: Path 
         frames = _frames(settings, network.resolution)
         origin = _prepare(frames, plain, resume)
         return derendering_stage(network, frames, settings.training, figures_every_n_epochs=every), origin
-    experiments = _experiments(settings, run, given_confounders=plain["model"].get("confounders") == "ground_truth")
+    experiments = _experiments(settings, run, DeclaredInputs.of(plain["model"]))
     origin = _prepare(experiments, plain, resume)
     return prediction_stage(network, experiments, settings.training, run, figures_every_n_epochs=every), origin
 
@@ -87,11 +90,15 @@ def _frames(settings: TrainConfig, resolution: int) -> FrameDataModule:
     )
 
 
-def _experiments(settings: TrainConfig, run: Run, *, given_confounders: bool) -> CounterfactualDataModule:
+def _experiments(settings: TrainConfig, run: Run, declared: DeclaredInputs) -> CounterfactualDataModule:
     estimated, learnt = ESTIMATED[settings.positions], settings.training.confounder_weight > 0
     if learnt and "train" in estimated:
         raise CophyError(
             f"positions={settings.positions} does not go with training.confounder_weight: confounders are of true objects"
+        )
+    if estimated and declared.not_derendered:
+        raise CophyError(
+            f"positions={settings.positions} does not go with {declared.not_derendered}: no de-renderer estimates it"
         )
     train_set, test_set = (
         experiments_of(settings, [part.num_objects])[0] for part in (settings.split.train, settings.split.test)
@@ -104,8 +111,8 @@ def _experiments(settings: TrainConfig, run: Run, *, given_confounders: bool) ->
         workers=settings.workers,
         derenderer=_derenderer(settings, run) if estimated else None,
         estimated=estimated,
-        with_confounders=given_confounders,
-        needs_confounders=given_confounders or learnt,
+        declared=declared,
+        needs_confounders=declared.confounders or learnt,
     )
 
 
@@ -129,8 +136,8 @@ def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, run: Run, sta
         raise CophyError("trainer.fast_dev_run: an oracle takes no training step to try")
     if settings.positions != "ground_truth":
         raise CophyError(f"positions={settings.positions}: oracles simulate, from true positions only")
-    data = _experiments(settings, run, given_confounders=False)
+    data = _experiments(settings, run, DeclaredInputs())
     data.prepare_data()
     data.setup()
-    asked = OracleSettings(oracle.draws, oracle.noise)
+    asked = OracleSettings(oracle.draws, oracle.max_configurations, oracle.noise)
     return carry_out_oracle(run, data, oracle.oracle, asked, started=started)

@@ -15,6 +15,10 @@ from cophy.errors import CophyError
 
 # how Hydra names a file of conf/ablation or conf/row that it cannot compose
 IN_A_FILE = re.compile(r"In '(ablation|row)/(\w+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)")
+# and a choice of confounders= where the scenario's defaults name none
+WITHOUT_GRIDS = re.compile(
+    r"Could not override 'confounders'\. No match in the defaults list\..*\+(confounders=\S+)", re.DOTALL
+)
 
 
 def run(main: Callable[[], Any]) -> None:
@@ -42,6 +46,8 @@ def explain(error: BaseException) -> str:
         return f"{error.filename}: {error.strerror}"
     if file := IN_A_FILE.match(str(error)):
         return _explain_file(*file.group(1, 2, 3))
+    if choice := WITHOUT_GRIDS.match(str(error)):
+        return f"{choice[1]} does not go with this scenario, which has one grid; it goes with balls and collision"
     if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
         return _explain_choice(error.missing_cfg_file, error.options)
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error

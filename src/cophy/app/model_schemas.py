@@ -5,6 +5,7 @@ from typing import Any
 
 from omegaconf import MISSING
 
+from cophy.dataset.store.experiment_set import ORACLES
 from cophy.models.options import ConfounderInput, ConfounderSource, Decoding, Gating, Interaction, Readout
 
 
@@ -22,6 +23,8 @@ class CoPhyNetConfig:
     gating: Gating = MISSING
     interaction: Interaction = MISSING
     decoding: Decoding = MISSING
+    object_type: bool = MISSING
+    pose: bool = MISSING
     num_frames: int | None = None
     slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
 
@@ -48,6 +51,8 @@ class InteractionNetworkConfig:
     node_layers: int = MISSING
     radius: float | None = MISSING
     confounders: ConfounderInput | None = MISSING
+    object_type: bool = MISSING
+    pose: bool = MISSING
 
     def __post_init__(self) -> None:
         if min(self.hidden_dim, self.node_layers) < 1 or self.edge_layers < 2:
@@ -73,17 +78,20 @@ class DerendererConfig:
 
 @dataclass
 class OracleConfig:
-    """An oracle, see `cophy.training.runs.oracle`: no network, so nothing is trained. draws, noise: see conf/model/."""
+    """An oracle, see `cophy.training.runs.oracle`: no network, so nothing is trained. The numbers: see conf/model/."""
 
     oracle: str = MISSING
     draws: int = MISSING
+    max_configurations: int = MISSING
     noise: float = MISSING
 
     def __post_init__(self) -> None:
-        if self.oracle not in ("feedforward", "counterfactual"):
-            raise ValueError(f"model.oracle={self.oracle} is neither feedforward nor counterfactual")
-        if self.draws < 1 or self.noise <= 0:
-            raise ValueError("model: draws must be at least 1 and noise positive")
+        if self.oracle not in ORACLES:
+            raise ValueError(f"model.oracle={self.oracle} is none of {', '.join(ORACLES)}")
+        if self.draws < 4:
+            raise ValueError("model.draws must be at least 4: the variance of a mean takes two twin pairs")
+        if self.max_configurations < 1 or self.noise <= 0:
+            raise ValueError("model: max_configurations must be at least 1 and noise positive")
 
 
 @dataclass

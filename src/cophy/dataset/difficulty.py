@@ -14,6 +14,7 @@ def difficulty(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> dict[str, np
     """Name -> (experiment,) values of a whole dataset (`States.load`).
 
     cell, do_operation: names of the cell and of the kind of do-operation.
+    twins (where twins have other cells): names of both twins' cells.
     displacement: how far the do-operation moves its object, metres; NaN where it removes one.
     observed_difference, counterfactual_difference: how far AB, or CD, is from the twin's, metres. A small observed one
         makes the confounders hard to tell; a small counterfactual one makes them matter little.
@@ -29,10 +30,20 @@ def difficulty(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> dict[str, np
         "observed_difference": observed,
         "counterfactual_difference": counterfactual,
     }
+    if (twins := _cells_of_both(values["cell"])) is not None:
+        values["twins"] = twins
     if spec.scenario.statics is not None:
         margins = np.abs(true_margins(arrays, spec))
         values |= {"observed_margin": margins[:, 0], "counterfactual_margin": margins[:, 1]}
     return values
+
+
+def _cells_of_both(cell: np.ndarray) -> np.ndarray | None:
+    """(experiment,) names of both twins' cells; None where twins share theirs."""
+    pairs = cell.reshape(-1, 2)
+    if (pairs[:, 0] == pairs[:, 1]).all():
+        return None
+    return np.repeat([" or ".join(sorted(pair)) for pair in pairs.tolist()], 2)
 
 
 def twin_differences(arrays: dict[str, np.ndarray]) -> np.ndarray:

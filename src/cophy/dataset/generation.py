@@ -44,6 +44,8 @@ def make(shards: ShardSet, *, workers: int) -> None:
             leftover.unlink()
         missing = _missing(shards)
         if missing:
+            for remark in shards.remarks():
+                log.warning(remark)
             _make(missing, shards, workers)
         if missing or not (shards.directory / MANIFEST).exists():
             shards.write_manifest()

@@ -5,7 +5,6 @@ import numpy as np
 from cophy.scenario import Scenario
 from cophy.scenario.do_operations import Displace, DoOperation, Remove
 from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
-from cophy.scenario.physics.surroundings import floor
 
 
 def scene_of(arrays: dict[str, np.ndarray], row: int, scenario: Scenario) -> Scene:
@@ -19,7 +18,7 @@ def scene_of(arrays: dict[str, np.ndarray], row: int, scenario: Scenario) -> Sce
     order = arrays["object_index"][row]
     slots = sorted(np.flatnonzero(order >= 0).tolist(), key=lambda slot: order[slot])
     return Scene(
-        (floor(), *scenario.walls(), *(_body(arrays, row, slot, scenario.object_size_m) for slot in slots)),
+        (scenario.floor(), *scenario.walls(), *(_body(arrays, row, slot, scenario.object_size_m) for slot in slots)),
         gravity=_vector(arrays["gravity"][row]),
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
-FORMAT_VERSION = 2  # raise it when the arrays of a shard, or the experiments an index stands for, change
+FORMAT_VERSION = 3  # raise it when the arrays of a shard, or the experiments an index stands for, change
 
 
 @dataclass

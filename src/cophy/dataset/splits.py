@@ -16,7 +16,7 @@ class Part:
     """The half of a split that is trained on, or tested on.
 
     moving: only experiments whose moving object is a sphere, or a cylinder (paper Table 4).
-    configurations: only seen, or only unseen, confounder configurations (paper Table 2, †).
+    configurations: only seen, or only unseen, confounder configurations (paper Table 2, †; `Scenario.seen_configurations`).
     """
 
     num_objects: int
@@ -46,11 +46,20 @@ class Part:
 
 @dataclass
 class Split:
-    """What is trained and validated on, and what is tested on (conf/split/*.yaml)."""
+    """What is trained and validated on, and what is tested on (conf/split/*.yaml).
+
+    epochs_factor: times `trainer.max_epochs`, the epochs that a predictor is trained. Half of the data needs twice as many
+    for about as many optimiser steps.
+    """
 
     name: str
     train: Part
     test: Part
+    epochs_factor: int = 1
+
+    def __post_init__(self) -> None:
+        if self.epochs_factor < 1:
+            raise ValueError(f"split: epochs_factor={self.epochs_factor} must be at least 1")
 
     def counts(self, num_objects: list[int] | None = None) -> list[int]:
         """The given numbers of objects, else those that are trained and tested on."""

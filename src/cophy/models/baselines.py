@@ -3,6 +3,7 @@
 import torch
 from torch import nn
 
+from cophy.models.appearance import Appearance
 from cophy.models.layers.graph import hear_sum_of_near
 from cophy.models.layers.graph_convolution import PairwiseMLP
 from cophy.models.layers.mlp import mlp
@@ -37,13 +38,21 @@ class InteractionNetwork(nn.Module):
 
         e^k = Σ_j f(o^k, o^j)        Δ^k = g(o^k, e^k)        position_{t+1}^k = position_t^k + Δ^k
 
-    The state o is [position, displacement of the step before]; that is zero before the first step. The Interaction
-    Network (Battaglia et al., NIPS 2016) sums over all other objects. The Neural Physics Engine (Chang et al., ICLR
-    2017) sums over those within a radius.
+    The state o is [position, displacement of the step before]; that is zero before the first step. True confounders,
+    object types and poses follow where they are declared. The Interaction Network (Battaglia et al., NIPS 2016) sums
+    over all other objects. The Neural Physics Engine (Chang et al., ICLR 2017) sums over those within a radius.
     """
 
     def __init__(
-        self, *, hidden_dim: int, edge_layers: int, node_layers: int, radius: float | None, confounders: str | None
+        self,
+        *,
+        hidden_dim: int,
+        edge_layers: int,
+        node_layers: int,
+        radius: float | None,
+        confounders: str | None,
+        object_type: bool = False,
+        pose: bool = False,
     ) -> None:
         """Build f and g.
 
@@ -53,11 +62,14 @@ class InteractionNetwork(nn.Module):
             node_layers: Linear layers of g.
             radius: Metres within which objects act on each other; None for all (Interaction Network).
             confounders: `ground_truth` makes the true confounders part of the state ("IN sup."); None does not.
+            object_type: Whether it sees what each object is.
+            pose: Whether it sees how each object is turned at t = 0.
         """
         super().__init__()
         self.radius = radius
         self.confounders = None if confounders is None else ConfounderInput(confounders)
-        state_dim = 6 + (len(CONFOUNDERS) if self.confounders else 0)
+        self.appearance = Appearance(object_type, pose)
+        state_dim = 6 + (len(CONFOUNDERS) if self.confounders else 0) + self.appearance.width
         self.f = PairwiseMLP(state_dim, hidden_dim, layers=edge_layers)
         self.g = mlp(state_dim + hidden_dim, hidden_dim, node_layers, output_dim=3)
 
@@ -65,10 +77,11 @@ class InteractionNetwork(nn.Module):
         """Roll D out from C, one step per frame of AB after the first."""
         packed, slots = pack(inputs)
         confounders = true_confounders(packed) if self.confounders else packed.initial[..., :0]
+        known = self.appearance.beside(confounders, packed)
         position, positions = packed.initial, []
         displacement = torch.zeros_like(position)
         for _ in range(inputs.num_steps):
-            state = torch.cat([position, displacement, confounders], dim=-1)
+            state = torch.cat([position, displacement, known], dim=-1)
             graph = hear_sum_of_near(self.radius, position, packed.presence)
             effects = graph.sum_over_senders(self.f(state))
             displacement = self.g(torch.cat([state, effects], dim=-1))

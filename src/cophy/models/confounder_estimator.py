@@ -17,7 +17,7 @@ class ConfounderEstimator(nn.Module):
         """Build the estimator.
 
         Args:
-            convolution: From nodes (positions, width 3) and a graph to features of width `hidden_dim`.
+            convolution: From nodes (what is seen of objects in one frame) and a graph to features of width `hidden_dim`.
             hidden_dim: Width of the GRU, and of U.
             gru_layers: Layers of the GRU.
         """
@@ -26,9 +26,9 @@ class ConfounderEstimator(nn.Module):
         self.gru = nn.GRU(hidden_dim, hidden_dim, gru_layers)
 
     def forward(
-        self, observed: Float[Tensor, "batch time slots 3"], presence: Bool[Tensor, "batch slots"]
+        self, observed: Float[Tensor, "batch time slots node"], presence: Bool[Tensor, "batch slots"]
     ) -> Float[Tensor, "batch slots hidden"]:
-        """From positions in AB to U."""
+        """From what is seen in AB, positions first of all, to U."""
         batch, time, slots, _ = observed.shape
         graph = hear_mean_of_others(presence.repeat_interleave(time, dim=0), observed.dtype)
         features = self.convolution(observed.flatten(0, 1), graph)  # all frames at once

@@ -7,11 +7,14 @@ initial C = o_0 ----------------------> [o_t, u] --GCN--> stability s_t --------
                                          |    +--GCN, GRU over time, linear--> Δ_t --> o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t
                                          |                                                  |
                                          +------------------- next step --------------------+
+
+A model that declares object types or poses gets them beside every position, of AB and of o_t.
 """
 
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cophy.models.appearance import Appearance
 from cophy.models.confounder_estimator import ConfounderEstimator
 from cophy.models.decoders import Rollout, SingleStep
 from cophy.models.layers.graph_convolution import GraphConvolution
@@ -43,6 +46,8 @@ class CoPhyNet(nn.Module):
         gating: str,
         interaction: str,
         decoding: str,
+        object_type: bool = False,
+        pose: bool = False,
         num_frames: int | None = None,
         slots: list[str] | None = None,
     ) -> None:
@@ -58,11 +63,15 @@ class CoPhyNet(nn.Module):
             gating: When stability is decided: a value of `Gating`.
             interaction: How objects hear of each other: a value of `Interaction`.
             decoding: How D is predicted: a value of `Decoding`.
+            object_type: Whether it sees what each object is.
+            pose: Whether it sees how each object is turned at t = 0.
             num_frames: T, needed where decoding is `single_step`.
             slots: Names of the colour slots, needed where interaction is `mlp`.
         """
         super().__init__()
         self.source, self.interaction = ConfounderSource(confounders), Interaction(interaction)
+        self.appearance = Appearance(object_type, pose)
+        seen_dim = 3 + self.appearance.width
 
         def make_convolution(input_dim: int) -> nn.Module:
             if self.interaction is Interaction.mlp:
@@ -71,10 +80,12 @@ class CoPhyNet(nn.Module):
             return GraphConvolution(input_dim, hidden_dim, edge_layers=edge_layers, node_layers=node_layers)
 
         if self.source is ConfounderSource.estimated:
-            self.estimator = ConfounderEstimator(make_convolution(3), hidden_dim=hidden_dim, gru_layers=gru_layers)
+            self.estimator = ConfounderEstimator(
+                make_convolution(seen_dim), hidden_dim=hidden_dim, gru_layers=gru_layers
+            )
         self.estimate_dim = hidden_dim if self.source is ConfounderSource.estimated else 0
         given_dim = len(CONFOUNDERS) if self.source is ConfounderSource.ground_truth else 0
-        sizes = {"input_dim": 3 + self.estimate_dim + given_dim, "hidden_dim": hidden_dim}
+        sizes = {"input_dim": seen_dim + self.estimate_dim + given_dim, "hidden_dim": hidden_dim}
         self.decoder: nn.Module
         if Decoding(decoding) is Decoding.single_step:
             assert num_frames is not None
@@ -95,12 +106,13 @@ class CoPhyNet(nn.Module):
 
     def _predict(self, inputs: Inputs) -> Prediction:
         u = self._confounders(inputs)
-        position, stable_logit = self.decoder(inputs.initial, u, inputs.presence, inputs.num_steps)
+        known = self.appearance.beside(u, inputs)
+        position, stable_logit = self.decoder(inputs.initial, known, inputs.presence, inputs.num_steps)
         return Prediction(position, stable_logit, u if self.source is ConfounderSource.estimated else None)
 
     def _confounders(self, inputs: Inputs) -> Float[Tensor, "batch slots u"]:
         if self.source is ConfounderSource.estimated:
-            return self.estimator(inputs.observed, inputs.observed_presence)
+            return self.estimator(self.appearance.beside(inputs.observed, inputs), inputs.observed_presence)
         if self.source is ConfounderSource.ground_truth:
             return true_confounders(inputs)
         return inputs.initial[..., :0]  # nothing: width 0

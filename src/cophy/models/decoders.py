@@ -4,7 +4,8 @@ There are two networks, one of stability and one of displacement. Here both get 
 equation for the stability has that. Its equation for the displacement gives u of the neighbours but not of the object
 itself. We take this for an oversight: an object would not know its own mass.
 
-u is what stands for the confounders: the estimate U, the true ones, or nothing (width 0).
+u is what stands for the confounders: the estimate U, the true ones, or nothing (width 0). Where a model declares object
+types or poses, they follow.
 """
 
 from collections.abc import Callable
@@ -73,7 +74,7 @@ class Rollout(nn.Module):
 
         Args:
             initial: Positions in C, metres.
-            u: What stands for the confounders of every object.
+            u: What is known of every object beside its position.
             presence: Which slots hold an object.
             num_steps: Frames of D to predict.
 

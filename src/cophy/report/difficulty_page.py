@@ -19,6 +19,8 @@ The default split of each scenario, test experiments, mean over seeds. [ ]: 95 %
 experiments in it. What is a number is broken down by thirds.
 
 - cell: what the generator was told to make ({cells}).
+- cells of both twins: the same, for twin pairs. A second table has the share of the twins' difference that a row explains in
+  each: 0 % for any model without AB, 100 % for a perfect one.
 - displacement: by the do-operation; removals have none.
 - distance from the twin's: between two sequences that differ in their confounders alone, averaged over time, of the object
   that differs most. AB: how distinguishable AB is. CD: how much the confounders matter.
@@ -88,11 +90,27 @@ def _shown(frame: pd.DataFrame) -> list[str]:
     return [row for row in rows if " " not in row] or rows
 
 
+def _explained(frame: pd.DataFrame) -> str:
+    """The share of the twins' difference that is explained, where groups hold whole pairs of several kinds."""
+    if "twins" not in set(frame["by"]):
+        return ""
+    of_pairs = frame[frame["explained"].notna()]
+    text = [
+        f"{explained:.0%} [{low:.0%}, {high:.0%}]"
+        for explained, low, high in of_pairs[["explained", "explained_low", "explained_high"]].itertuples(index=False)
+    ]
+    return f"Of the twins' difference, explained:\n\n{_wide(of_pairs.assign(text=text))}\n"
+
+
 def _table(frame: pd.DataFrame) -> str:
     text = (
         frame["mse"].map("{:.3f}".format) + frame["low"].map(" [{:.3f}, ".format) + frame["high"].map("{:.3f}]".format)
     )
-    cells = frame.assign(text=text, by=frame["by"].map(WORDS)).rename(columns={"experiments": "n"})
+    return f"{_wide(frame.assign(text=text))}\n\n{_explained(frame)}"
+
+
+def _wide(frame: pd.DataFrame) -> str:
+    cells = frame.assign(by=frame["by"].map(WORDS)).rename(columns={"experiments": "n"})
     wide = cells.pivot_table(index=["by", "group", "n"], columns="row", values="text", aggfunc="first", sort=False)
     return str(wide[_by_error(frame)].reset_index().to_markdown(index=False))
 

@@ -1,4 +1,4 @@
-"""MSE by difficulty, do-operation and cell: on which experiments a model fails."""
+"""Errors by difficulty, do-operation and cell: on which experiments a model fails."""
 
 import logging
 from collections.abc import Iterator
@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 import torch
 
-from cophy.bootstrap import interval, mean
+from cophy.bootstrap import Ratio, interval, mean
 from cophy.dataset.difficulty import difficulty
 from cophy.dataset.feed.batches import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
 from cophy.report.figures import row_name
 from cophy.training.measures.metrics import mean_squared_error
+from cophy.training.measures.twin_metrics import twin_difference
 from cophy.training.runs.results import read_predictions
 from cophy.types import Prediction, Targets
 
@@ -22,7 +23,8 @@ log = logging.getLogger(__name__)
 
 SECTION = ("scenario", "split", "positions", "size")
 ALL = "all"
-NAMED = {"cell": "cell", "do_operation": "do-operation"}
+NAMED = {"cell": "cell", "twins": "cells of both twins", "do_operation": "do-operation"}
+OF_PAIRS = (ALL, "twins")  # groups for which the share of the twins' difference that is explained is given too
 NUMBERS = {
     "displacement": "displacement (m)",
     "observed_difference": "AB: distance from the twin's (m)",
@@ -46,6 +48,8 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
 
     Returns:
         One line per row of a table and group of experiments: experiments, seeds, mse (m²), low and high of its interval.
+        Where groups hold whole twin pairs (OF_PAIRS): explained, explained_low and explained_high, shares of the twins'
+        difference; NaN elsewhere.
     """
     tested = part.select_split(arrays, "test")
     chosen = {name: array[tested] for name, array in (arrays | difficulty(arrays, spec)).items()}
@@ -57,11 +61,15 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
             continue
         names = [str(key) for key in keys]
         section = dict(zip(SECTION, names, strict=False)) | {"row": row_name(*names[-2:])}
-        errors = np.mean(each, axis=0)
+        errors, twin_error, twin_size = np.mean(each, axis=0)
         for by, group, rows in groups(values):
             low, high = interval(errors[rows], chosen["twin"][rows])
             counts = {"experiments": int(rows.sum()), "seeds": len(each)}
             numbers = {"mse": mean(errors[rows]), "low": low, "high": high}
+            if by in OF_PAIRS:
+                explained = Ratio(twin_size[rows] - twin_error[rows], twin_size[rows])
+                ends = interval(explained, chosen["twin"][rows])
+                numbers |= {"explained": mean(explained), "explained_low": ends[0], "explained_high": ends[1]}
             lines.append({**section, "by": by, "group": group, **counts, **numbers})
     return pd.DataFrame(lines)
 
@@ -90,7 +98,7 @@ def _thirds(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
 
 
 def _errors(run: dict[Any, Any], truth: Targets, spec: DatasetSpec) -> np.ndarray | None:
-    """(experiment,) MSE of one run; None where its predictions are not of this test split, or not those it was judged by."""
+    """(3, experiment) of one run: MSE, and error and size of the twins' difference (see `TwinDifference`). None where its predictions are not of this test split, or not those it was judged by."""
     directory = run["directory"]
     found = read_predictions(directory)
     if spec.id not in run["dataset_ids"] or not (
@@ -98,10 +106,13 @@ def _errors(run: dict[Any, Any], truth: Targets, spec: DatasetSpec) -> np.ndarra
     ):
         log.error("%s: its predictions are not of the test split of %s: make that run again", directory, spec.id)
         return None
-    prediction = Prediction(torch.from_numpy(found["position"]))
-    errors = mean_squared_error(spec.scenario.task.metric_dims)(prediction, truth).double().numpy()
+    by_chance = torch.from_numpy(found["draw_variance"]) if "draw_variance" in found else None
+    prediction = Prediction(torch.from_numpy(found["position"]), draw_variance=by_chance)
+    dims = spec.scenario.task.metric_dims
+    errors = mean_squared_error(dims)(prediction, truth).double().numpy()
     if not np.isclose(errors.mean(), run["mse"], rtol=RELATIVE_MSE_TOLERANCE):
         log.error("%s: its predictions have MSE %.6f, its metrics.json says %.6f: make that run again",
                   directory, errors.mean(), run["mse"])  # fmt: skip
         return None
-    return np.asarray(errors)
+    of_twins = twin_difference(prediction, truth, dims)
+    return np.stack([errors, of_twins.error.numpy(), of_twins.size.numpy()])

@@ -9,13 +9,14 @@ import numpy as np
 
 from cophy.errors import CophyError
 from cophy.scenario.experiment import TwinPair
-from cophy.scenario.physics.scene import Shape, trajectory_distance
+from cophy.scenario.physics.scene import Scene, Shape, Trajectory, trajectory_distance
 from cophy.scenario.physics.simulator import Simulator
 from cophy.scenario.physics.statics import TowerStatics
 from cophy.scenario.scenario import Scenario
 from cophy.scenario.search.assignment import Assignment
+from cophy.scenario.search.held_out import half_of_problems
 from cophy.scenario.search.tower_search import TowerSearch
-from cophy.scenario.search.towers import TOWER_CELLS, TowerCell
+from cophy.scenario.search.towers import TOWER_BLOCKS, TOWER_CELLS
 from cophy.scenario.symmetry import square
 
 
@@ -38,6 +39,10 @@ class Blocktower(Scenario):
     @classmethod
     def cells(cls) -> tuple[str, ...]:
         return tuple(cell.name for cell in TOWER_CELLS)
+
+    @classmethod
+    def blocks(cls) -> tuple[tuple[int, ...], ...]:
+        return TOWER_BLOCKS
 
     @classmethod
     def cell_meaning(cls) -> str:
@@ -76,6 +81,9 @@ class Blocktower(Scenario):
             stable_fraction=self.stable_fraction,
         )
 
+    def seen_configurations(self, num_objects: int, data_seed: int) -> np.ndarray:
+        return half_of_problems(self.confounders, num_objects, self.symmetries(), data_seed)
+
     def search(
         self, assignment: Assignment, slots: tuple[int, ...], rng: np.random.Generator, simulator: Simulator
     ) -> TwinPair:
@@ -85,11 +93,21 @@ class Blocktower(Scenario):
             twins = (first, self.confounders.decode(second, len(slots)))
             for scene, do_operation in self.tower_search.candidates(twins, cell, kind, slots, rng):
                 scenes = [self.under(configuration, scene) for configuration in (assignment.first, second)]
-                ab = tuple(self.simulate(simulator, a) for a in scenes)
-                cd = tuple(self.simulate(simulator, do_operation.apply(a)) for a in scenes)
-                found = [TowerCell(*map(self.statics.stands, sequences)) for sequences in zip(ab, cd, strict=True)]
-                different = min(trajectory_distance(*ab), trajectory_distance(*cd))
-                if found == [cell, cell.opposite] and different >= self.min_difference:
-                    cells = (TOWER_CELLS.index(cell), TOWER_CELLS.index(cell.opposite))
-                    return TwinPair(scene, do_operation, second, ab, cd, cells)  # type: ignore[arg-type]
+                ab = self._simulated(scenes, (cell.observed, cell.twin.observed), simulator)
+                if ab is None:
+                    continue
+                after = [do_operation.apply(a) for a in scenes]
+                cd = self._simulated(after, (cell.counterfactual, cell.twin.counterfactual), simulator)
+                if cd is not None:
+                    cells = (TOWER_CELLS.index(cell), TOWER_CELLS.index(cell.twin))
+                    return TwinPair(scene, do_operation, second, ab, cd, cells)
         raise CophyError("no tower fits: widen scenario.max_level_offset or scenario.stable_fraction")
+
+    def _simulated(
+        self, scenes: list[Scene], stand: tuple[bool, bool], simulator: Simulator
+    ) -> tuple[Trajectory, Trajectory] | None:
+        """Both twins' trajectories, if they stand or fall as they should and differ significantly."""
+        first, second = (self.simulate(simulator, scene) for scene in scenes)
+        outcomes = (self.statics.stands(first), self.statics.stands(second))
+        as_they_should = outcomes == stand and trajectory_distance(first, second) >= self.min_difference
+        return (first, second) if as_they_should else None

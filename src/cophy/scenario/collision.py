@@ -1,14 +1,15 @@
-"""CollisionCF (paper Sec. 3): one moving object, a sphere or a cylinder, is sent towards one static object."""
+"""CollisionCF (paper Sec. 3): one moving object, a sphere or a cylinder, slides into one static object."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cophy.scenario.do_operations import Displace, DoOperation
-from cophy.scenario.physics.scene import Body, Scene, Shape
+from cophy.scenario.physics.energy import largest_gain
+from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
 from cophy.scenario.physics.surroundings import floor
 from cophy.scenario.search.simulated import SimulatedSearch
-from cophy.scenario.symmetry import mirror
+from cophy.scenario.symmetry import square
 
 # (moving, static): shapes of the two objects, one cell each
 CELLS = tuple(
@@ -21,14 +22,13 @@ class Collision(SimulatedSearch):
     """Fields of conf/scenario/collision.yaml beyond those of every scenario."""
 
     object_size: float  # diameter of spheres and cylinders, and height of cylinders
-    static_position: list[float]  # x, y of the static object in A
+    floor_friction: float  # of the floor; that of a contact is the product of both
+    static_distance: float  # of the static object in A from the origin, back along the moving one's heading
     distance: list[float]  # between the two centres in A: smallest and largest
-    max_heading: float  # of the moving object, from the x axis to either side, rad
-    speed: list[float]  # of the moving object at t = 0: smallest and largest
-    max_skew: float  # of a moving cylinder's axis from across its path, to either side, rad; it lies
-    max_aim_offset: float  # by how far the moving object is aimed past the static one's centre
+    speed: float  # of the moving object at t = 0, towards the static one's centre in A
     displacement: list[float]  # along x or y: smallest and largest
     min_gap: float  # between the two objects, in A and C
+    max_energy_gain: float  # between two states, as a share of the energy at the start
 
     @classmethod
     def known_do_operations(cls) -> tuple[str, ...]:
@@ -44,31 +44,36 @@ class Collision(SimulatedSearch):
 
     @classmethod
     def symmetries(cls) -> np.ndarray:
-        return mirror()
+        return square()
 
     @property
     def object_size_m(self) -> float:
         return self.object_size
 
+    def floor(self) -> Body:
+        """The ground, as slippery as the scenario says."""
+        return replace(floor(), friction=self.floor_friction)
+
     def shapes_of_cell(self, cell: int) -> tuple[Shape, ...]:
         return CELLS[cell]
 
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
-        moving, static = CELLS[cell]
-        heading = rng.uniform(-self.max_heading, self.max_heading)
-        target = np.array(self.static_position)
+        shapes, heading = CELLS[cell], rng.uniform(-np.pi, np.pi)
         forward = np.array([np.cos(heading), np.sin(heading)])
-        left = np.array([-forward[1], forward[0]])
+        target = -self.static_distance * forward
         start = target - rng.uniform(self.distance[0], self.distance[1]) * forward
-        aim = target + rng.uniform(-self.max_aim_offset, self.max_aim_offset) * left
-        direction = (aim - start) / np.linalg.norm(aim - start)
-        velocity = rng.uniform(self.speed[0], self.speed[1]) * direction
-        across = float(np.arctan2(direction[1], direction[0])) + rng.uniform(-self.max_skew, self.max_skew)
-        bodies = (
-            self._body(moving, slots[0], start, velocity, yaw=across, lies=True),
-            self._body(static, slots[1], target, np.zeros(2), yaw=rng.uniform(0, 2 * np.pi), lies=rng.random() < 0.5),
-        )
-        return Scene((floor(), *bodies), gravity=(0.0, 0.0, self.gravity_z))
+        moving = self._body(shapes[0], slots[0], start)
+        static = self._body(shapes[1], slots[1], target)
+        if static.shape is Shape.CYLINDER and rng.random() < 0.5:
+            static = replace(static, quaternion_xyzw=_lying(rng.uniform(0, 2 * np.pi)))
+        scene = Scene((self.floor(), moving, static), gravity=(0.0, 0.0, self.gravity_z))
+        return scene.with_velocities(self.initial_velocities(scene))
+
+    def initial_velocities(self, scene: Scene) -> np.ndarray:
+        """(object, 2) horizontal, m/s, of the moving and the static object where they lie in A."""
+        moving, static = (np.array(body.position[:2]) for body in scene.objects)
+        between = static - moving
+        return np.stack([self.speed * between / np.linalg.norm(between), np.zeros(2)])
 
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
         moving, static = scene.objects
@@ -78,26 +83,28 @@ class Collision(SimulatedSearch):
             offset = np.zeros(2)
             offset[rng.integers(2)] = rng.uniform(self.displacement[0], self.displacement[1]) * rng.choice([-1.0, 1.0])
             between = np.array(body.position[:2]) + offset - other.position[:2]
-            # two cylinders lying end to end reach furthest: half a space diagonal each
-            if np.linalg.norm(between) >= np.sqrt(2) * self.object_size + self.min_gap:
+            # furthest reaches a corner of a lying cylinder's square outline: half a diagonal
+            if np.linalg.norm(between) >= (1 + np.sqrt(2)) / 2 * self.object_size + self.min_gap:
                 return Displace(kind, body.slot, (float(offset[0]), float(offset[1]), 0.0))
 
-    def _body(
-        self, shape: Shape, slot: int, centre: np.ndarray, velocity: np.ndarray, *, yaw: float, lies: bool
-    ) -> Body:
-        """An object on the floor; a cylinder stands, or lies with its axis across the yaw (rad)."""
-        tilt = np.pi / 4 if shape is Shape.CYLINDER and lies else 0.0  # half of the turn that lays the axis down
-        return Body(
-            shape,
-            (self.object_size, self.object_size, self.object_size),
-            position=(float(centre[0]), float(centre[1]), self.object_size / 2),
-            quaternion_xyzw=(
-                float(np.cos(yaw / 2) * np.sin(tilt)),
-                float(np.sin(yaw / 2) * np.sin(tilt)),
-                float(np.sin(yaw / 2) * np.cos(tilt)),
-                float(np.cos(yaw / 2) * np.cos(tilt)),
-            ),
-            linear_velocity=(float(velocity[0]), float(velocity[1]), 0.0),
-            slot=slot,
-            mass=1.0,
-        )
+    def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
+        """Whether the sequence stays in sight and gains no energy from an impact that the solver resolves wrongly.
+
+        Headings are any, so what is in sight is round.
+        """
+        furthest = np.linalg.norm(trajectory.positions[..., :2], axis=-1).max()
+        return bool(furthest <= self.extent and largest_gain(scene, trajectory) <= self.max_energy_gain)
+
+    def _body(self, shape: Shape, slot: int, centre: np.ndarray) -> Body:
+        """An object that lies or stands on the floor."""
+        x, y = centre.tolist()
+        size = (self.object_size, self.object_size, self.object_size)
+        return Body(shape, size, position=(x, y, self.object_size / 2), slot=slot, mass=1.0)
+
+
+def _lying(yaw: float) -> tuple[float, float, float, float]:
+    """The quaternion (x, y, z, w) of a cylinder that lies with its axis across the yaw (rad)."""
+    half, tilt = yaw / 2, np.pi / 4  # half of the turn that lays the axis down
+    x, y = np.cos(half) * np.sin(tilt), np.sin(half) * np.sin(tilt)
+    z, w = np.sin(half) * np.cos(tilt), np.cos(half) * np.cos(tilt)
+    return float(x), float(y), float(z), float(w)

@@ -12,6 +12,7 @@ from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
 from cophy.scenario.physics.simulation_settings import Clock, Solver
 from cophy.scenario.physics.simulator import Simulator
 from cophy.scenario.physics.statics import TowerStatics
+from cophy.scenario.physics.surroundings import floor
 from cophy.scenario.rendering.camera import Camera
 from cophy.scenario.search.assignment import Assignment, assign
 
@@ -69,7 +70,12 @@ class Scenario(ABC):
     @classmethod
     @abstractmethod
     def cells(cls) -> tuple[str, ...]:
-        """Names of the cells that `Experiment.cell` counts in. The pairs of one block go through all of them (see `assign`)."""
+        """Names of the cells that `Experiment.cell` counts in."""
+
+    @classmethod
+    def blocks(cls) -> tuple[tuple[int, ...], ...]:
+        """The kinds of block, in turn: the cells of the first twins of its pairs (see `assign`). All are equally long."""
+        return (tuple(range(len(cls.cells()))),)
 
     @classmethod
     def cell_meaning(cls) -> str:
@@ -85,6 +91,10 @@ class Scenario(ABC):
     @abstractmethod
     def object_size_m(self) -> float:
         """Edge of every block, diameter of every ball, diameter and height of every cylinder."""
+
+    def floor(self) -> Body:
+        """The ground."""
+        return floor()
 
     def walls(self) -> tuple[Body, ...]:
         """Fixed bodies besides the floor, in simulation and in pictures."""
@@ -107,6 +117,11 @@ class Scenario(ABC):
     @property
     def sight_extent_m(self) -> float | None:
         """How far from the origin in x and y objects stay, metres; None where nothing keeps them in sight."""
+        return None
+
+    @property
+    def significant_effect_m(self) -> float | None:
+        """The trajectory distance between B and D from which a do-operation matters; None where the search asks for none."""
         return None
 
     @abstractmethod
@@ -178,9 +193,17 @@ class Scenario(ABC):
             pair,
             data_seed=data_seed,
             num_configurations=self.confounders.num_configurations(num_objects),
+            seen=self.seen_configurations(num_objects, data_seed),
             num_do_operations=len(self.do_operations),
-            num_cells=len(self.cells()),
+            blocks=self.blocks(),
         )
+
+    def seen_configurations(self, num_objects: int, data_seed: int) -> np.ndarray | None:
+        """(configuration,) bool: the half that † splits train on; the other half they only test on (paper Table 2).
+
+        None where nothing is held out.
+        """
+        return None
 
     def simulate(self, simulator: Simulator, scene: Scene) -> Trajectory:
         """Simulate a scene with this scenario's solver and clock."""

@@ -2,22 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cophy.dataset.splits import Part
-from cophy.scenario import Scenario
-from cophy.types import HORIZONTAL, Batch
-
-
-def symmetries_for(part: Part, scenario: Scenario) -> np.ndarray:
-    """(symmetry, 2, 2) matrices: the scenario's, or the identity alone where training is on seen configurations (†).
-
-    Turning an experiment turns its gravity too. That can make it an experiment of an unseen configuration.
-    """
-    return scenario.symmetries() if part.configurations is None else scenario.symmetries()[:1]
+from cophy.types import HORIZONTAL, POSE_ANGLES, Batch
 
 
 def augment(batch: Batch, symmetries: Float[Tensor, "symmetry 2 2"]) -> Batch:
@@ -27,11 +16,13 @@ def augment(batch: Batch, symmetries: Float[Tensor, "symmetry 2 2"]) -> Batch:
 
 
 def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:
-    """The batch in other coordinates: each matrix acts on x and y of AB, C, D and the confounders alike."""
+    """The batch in other coordinates: each matrix acts on x and y of AB, C, D, confounders and poses alike."""
     inputs, targets = batch.inputs, batch.targets
     turned = replace(inputs, observed=_turned(inputs.observed, matrices), initial=_turned(inputs.initial, matrices))
     if inputs.confounders is not None:
         turned.confounders = _turned_confounders(inputs.confounders, matrices)
+    if inputs.pose is not None:
+        turned.pose = _turned_pose(inputs.pose, matrices)
     truth = replace(targets, position=_turned(targets.position, matrices), initial=_turned(targets.initial, matrices))
     return Batch(turned, truth)
 
@@ -50,3 +41,22 @@ def _turned_confounders(
     for columns in HORIZONTAL:
         turned[..., columns] = torch.einsum("bij,bkj->bki", matrices, confounders[..., columns])
     return turned
+
+
+def _turned_pose(
+    pose: Float[Tensor, "batch slots 7"], matrices: Float[Tensor, "batch 2 2"]
+) -> Float[Tensor, "batch slots 7"]:
+    turned, doubled = pose.clone(), _doubled(matrices)
+    for n, multiple in ((1, matrices), (2, doubled), (4, _doubled(doubled))):
+        columns = POSE_ANGLES[n]
+        turned[..., columns] = torch.einsum("bij,bkj->bki", multiple, pose[..., columns])
+    return turned
+
+
+def _doubled(matrices: Float[Tensor, "batch 2 2"]) -> Float[Tensor, "batch 2 2"]:
+    """What turns (cos 2ψ, sin 2ψ) as the given matrices turn (cos ψ, sin ψ): by twice the angle, mirrored alike."""
+    (cos, sin), (other_cos, other_sin) = matrices[:, :, 0].unbind(1), matrices[:, :, 1].unbind(1)
+    mirrored = cos * other_sin - sin * other_cos  # the determinant: 1, or -1 where it mirrors
+    cos_twice, sin_twice = cos.square() - sin.square(), 2 * cos * sin
+    first, second = (cos_twice, sin_twice), (-mirrored * sin_twice, mirrored * cos_twice)
+    return torch.stack([torch.stack(column, dim=-1) for column in (first, second)], dim=-1)

@@ -12,8 +12,19 @@ def test_a_flipped_label_is_caught(tiny) -> None:
         pytest.skip("towers only")
     flipped = arrays["cell"].copy()
     flipped[5] = (flipped[5] + 1) % 4
-    assert "labels agree with the trajectories" in failing(
+    assert "cells agree with the trajectories" in failing(
         towers(arrays | {"cell": flipped}, spec, spec.scenario.statics)
+    )
+
+
+def test_an_a_that_stands_whatever_the_confounders_is_caught(tiny) -> None:
+    spec, arrays = tiny
+    if spec.scenario.name != "blocktower":
+        pytest.skip("towers only")
+    changed = arrays["states"].copy()
+    changed[:2, 0] = changed[:2, 0, :1]
+    assert "no A stands under both twins' confounders" in failing(
+        towers(arrays | {"states": changed}, spec, spec.scenario.statics)
     )
 
 
@@ -23,6 +34,6 @@ def test_twins_that_fall_alike_are_caught(tiny) -> None:
         pytest.skip("towers only")
     changed = arrays["states"].copy()
     changed[6:8, 1] = changed[6:8, 1, :1]  # both CD stand
-    assert "twins have opposite outcomes, AB and CD" in failing(
+    assert "twins have opposite outcomes of CD" in failing(
         towers(arrays | {"states": changed}, spec, spec.scenario.statics)
     )

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from cophy.dataset.audit.first_frames import slots_in_order
 from cophy.dataset.audit.rigid_bodies import states
 from cophy.dataset.audit.twin_pairs import twins
 from tests.dataset.audit.failing import failing
@@ -44,3 +45,17 @@ def test_a_fault_in_one_second_twin_is_caught(tiny, name: str, place: tuple | No
     place = place or (5, int(np.argmin(arrays["object_index"][5])))
     changed[place] = ~changed[place] if value is None else value
     assert line in failing([*states(arrays | {name: changed}, spec), *twins(arrays | {name: changed}, spec)])
+
+
+def test_a_seen_combination_that_is_held_out_too_is_caught_however_it_is_turned_and_scaled(tiny) -> None:
+    spec, arrays = tiny
+    if spec.scenario.name != "blocktower":
+        pytest.skip("towers only")
+    line = "masses × gravity seen and unseen (†), up to symmetry and scale"
+    assert line not in failing(twins(arrays, spec))
+    slots = slots_in_order(arrays, spec.num_objects)
+    seen, unseen = (int(np.flatnonzero(arrays["seen"] == half)[0]) for half in (True, False))
+    mass, gravity = arrays["mass"].copy(), arrays["gravity"].copy()
+    mass[unseen, slots[unseen]] = 10 * arrays["mass"][seen, slots[seen]]
+    gravity[unseen, :2] = -arrays["gravity"][seen, 1::-1]
+    assert line in failing(twins(arrays | {"mass": mass, "gravity": gravity}, spec))

@@ -12,12 +12,13 @@ def test_frames_are_every_fourth_state(tiny) -> None:
     spec, arrays = tiny
     batch = to_batch(arrays, spec.scenario)
     inputs, targets = batch.inputs, batch.targets
-    assert inputs.observed.shape[1] == 30
-    assert targets.position.shape[1] == inputs.num_steps == 29
+    num_frames = spec.scenario.clock.num_frames
+    assert inputs.observed.shape[1] == num_frames
+    assert targets.position.shape[1] == inputs.num_steps == num_frames - 1
     np.testing.assert_array_equal(inputs.observed[:, 7], arrays["states"][:, 0, 28, :, :3])
     np.testing.assert_array_equal(inputs.initial, arrays["states"][:, 1, 0, :, :3])
     np.testing.assert_array_equal(targets.position[:, 0], arrays["states"][:, 1, 4, :, :3])
-    np.testing.assert_array_equal(targets.position[:, 28], arrays["states"][:, 1, 116, :, :3])
+    np.testing.assert_array_equal(targets.position[:, -1], arrays["states"][:, 1, -4, :, :3])
 
 
 def test_true_confounders_are_no_part_of_it(tiny) -> None:
@@ -29,7 +30,7 @@ def test_an_object_is_stable_while_it_stays_slow_between_two_frames(tiny) -> Non
     spec, arrays = tiny
     speed = np.linalg.norm(arrays["states"][3, 1, :, :, 7:10], axis=-1)
     stable = to_batch(arrays, spec.scenario).targets.stable[3]
-    for frame in (1, 12, 29):
+    for frame in (1, 12, spec.scenario.clock.num_frames - 1):
         slow = (speed[4 * frame - 3 : 4 * frame + 1] < spec.scenario.task.stable_speed).all(axis=0)
         np.testing.assert_array_equal(stable[frame - 1], slow)
 

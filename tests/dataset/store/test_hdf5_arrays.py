@@ -8,7 +8,7 @@ import pytest
 
 from cophy.dataset.store.hdf5_arrays import DamagedShardError, Field, creating, encode, reading
 
-FIELDS = {"mass": Field((2, 4), "<f4"), "cell": Field((2,), "|u1", stored_as="stratum")}
+FIELDS = {"mass": Field((2, 4), "<f4"), "cell": Field((2,), "|u1")}
 ARRAYS = {"mass": np.arange(8, dtype="f4").reshape(2, 4), "cell": np.array([3, 1], dtype="u1")}
 
 
@@ -24,7 +24,7 @@ def test_what_is_no_plain_array_is_damage(tmp_path: Path, fault: str) -> None:
             if fault == "external":
                 file["mass"] = h5py.ExternalLink("/etc/passwd", "x")
             elif fault == "soft link":
-                file["mass"] = h5py.SoftLink("/stratum")
+                file["mass"] = h5py.SoftLink("/cell")
             elif fault == "shape":
                 file.create_dataset("mass", shape=(10**9, 4), dtype="f4", chunks=(1000, 4))
             elif fault == "type":
@@ -37,7 +37,7 @@ def test_arrays_have_their_own_names_in_files(tmp_path: Path) -> None:
     path = tmp_path / "shard.h5"
     path.write_bytes(encode(ARRAYS, FIELDS))
     with h5py.File(path) as file:
-        assert set(file) == {"mass", "stratum"}
+        assert set(file) == {"mass", "cell"}
     with reading(path, FIELDS, {}) as stored:
         for name, array in ARRAYS.items():
             np.testing.assert_array_equal(stored[name][()], array)

@@ -37,11 +37,30 @@ def test_the_share_of_the_possible_gain_is_between_the_oracles() -> None:
     shares = filled.shares()
     assert shares is not None
     assert shares.loc["3→3", ["CoPhyNet", "IN", "Copy C", "NPE"]].tolist() == ["75%", "0%", "-50%", "—"]
-    assert not {"Oracle without AB", "Oracle with AB"} & set(shares.columns)
+    assert not any("Oracle" in column for column in shares.columns)
     assert not filled.values.set_index(["row", "column"])["best"]["3→3", "Oracle with AB"]  # it does not compete
     assert "75%" in markdown(filled)
     without = pd.DataFrame([measured("mse", 0.2, "cophynet")])
     assert fill(TABLES["blocktower"], without).shares() is None
+
+
+def test_what_is_given_to_other_oracles_does_not_move_the_share() -> None:
+    models = {"oracle_feedforward": 0.3, "oracle_counterfactual": 0.1, "cophynet": 0.15}
+    given = {"oracle_initial_velocity": 0.25, "oracle_confounders": 0.0}
+    lines = [measured("mse", mse, model) for model, mse in (models | given).items()]
+    filled = fill(TABLES["blocktower"], pd.DataFrame(lines))
+    shares, cells = filled.shares(), filled.cells()
+    assert shares is not None
+    assert shares.loc["3→3", "CoPhyNet"] == "75%"
+    assert cells.loc["3→3", "Oracle, initial velocity given"].startswith("0.250")
+    assert cells.loc["3→3", "Oracle, confounders given"].startswith("0.000")
+    assert not filled.values["best"][filled.values["column"].str.startswith("Oracle")].any()
+
+
+def test_a_caption_says_what_oracles_know_where_there_are_some() -> None:
+    runs = pd.DataFrame([measured("mse", 0.3, "oracle_feedforward")])
+    assert "beyond positions: object type and pose" in fill(TABLES["blocktower"], runs).caption
+    assert "Oracles" not in fill(TABLES["blocktower"], pd.DataFrame([measured("mse", 0.3, "in")])).caption
 
 
 def test_the_interval_of_a_share_is_paired_over_twin_pairs() -> None:
@@ -101,6 +120,18 @@ def test_a_caption_says_which_positions_were_tested() -> None:
     assert "Tested on true positions." in fill(TABLES["blocktower"], runs).caption
     estimated = runs.assign(positions="train_ground_truth_test_derendered")
     assert "Tested on positions estimated" in fill(TABLES["blocktower_derendered"], estimated).caption
+
+
+def test_a_caption_has_the_numbers_of_controls_that_were_run() -> None:
+    shown = [measured("mse", 0.3, "cophynet", split="3to3_unseen", epochs=80)]
+    control = [measured("mse", 0.25, "cophynet", split="3to3_seen", seed=seed, epochs=80) for seed in (0, 1)]
+    control += [measured("mse", 0.4, "copy_c", split="3to3_seen", epochs=80)]
+    words = "tested on combinations that it saw, in other geometries"
+    assert words not in fill(TABLES["blocktower"], pd.DataFrame(shown)).caption
+    filled = fill(TABLES["blocktower"], pd.DataFrame(shown + control))
+    numbers = f"{words}: Copy C 0.400 [0.390, 0.420], CoPhyNet 0.250 [0.240, 0.270]."
+    assert filled.caption.endswith(numbers)
+    assert filled.cells().loc["3→3 †", "CoPhyNet"].startswith("0.300")
 
 
 def test_estimated_positions_fill_tables_of_their_own_and_name_the_derenderer() -> None:

@@ -27,10 +27,12 @@ def test_only_runs_in_their_own_place_are_read(tmp_path: Path) -> None:
     place = Path("blocktower/3to3/cophynet/full/ground_truth/seed0")
     for directory in (place, Path("demo") / place, Path("blocktower/3to3/in/full/ground_truth/seed0")):
         (tmp_path / directory / ".hydra").mkdir(parents=True)
-        config = "trainer: {max_epochs: 40}\nmodel: {a: 1}\nscenario: {task: {metric_dims: 3}}\n"
+        config = (
+            "trainer: {max_epochs: 40}\nmodel: {a: 1}\nscenario: {task: {metric_dims: 3}}\nsplit: {epochs_factor: 2}\n"
+        )
         (tmp_path / directory / ".hydra" / "config.yaml").write_text(config)
         (tmp_path / directory / "metrics.json").write_text(json.dumps(content))
     runs = read_runs(tmp_path, lambda names: {"model": {"a": 1}})
     assert list(runs["directory"]) == [tmp_path / place]
-    assert runs.iloc[0][["mse", "mse_low", "mse_high", "epochs"]].tolist() == [0.2, 0.1, 0.3, 40]
+    assert runs.iloc[0][["mse", "mse_low", "mse_high", "epochs"]].tolist() == [0.2, 0.1, 0.3, 80]
     assert read_runs(tmp_path, lambda names: {"model": {"a": 2}}).empty

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from cophy.report.tables.shares import stored_errors
 from cophy.training.measures.metrics import mean_squared_error
@@ -11,11 +12,15 @@ from cophy.training.runs.results import write_predictions
 from cophy.types import Batch, Prediction
 
 
+@pytest.mark.parametrize("variance", [None, 0.25])
 @pytest.mark.parametrize("dims", [2, 3])
-def test_stored_errors_are_the_mse_of_each_experiment(dims: int, tower_batch: Batch, tmp_path: Path) -> None:
-    prediction = Prediction(tower_batch.inputs.observed[:, 1:])
+def test_stored_errors_are_the_mse_of_each_experiment(
+    dims: int, variance: float | None, tower_batch: Batch, tmp_path: Path
+) -> None:
+    position = tower_batch.inputs.observed[:, 1:]
+    prediction = Prediction(position, draw_variance=None if variance is None else variance * torch.rand_like(position))
     write_predictions(tmp_path, prediction, tower_batch.targets)
     found = stored_errors({"directory": tmp_path, "metric_dims": dims})
     expected = mean_squared_error(dims)(prediction, tower_batch.targets).numpy()
-    np.testing.assert_allclose(found.mse, expected, rtol=1e-5)
+    np.testing.assert_allclose(found.mse, expected, rtol=1e-5, atol=1e-6)
     np.testing.assert_array_equal(found.pair, np.arange(len(tower_batch)) // 2)

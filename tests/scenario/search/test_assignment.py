@@ -1,41 +1,71 @@
 from collections import Counter
 
 import numpy as np
+import pytest
 
-from cophy.scenario.search.assignment import assign, seen_configurations
+from cophy.scenario.search.assignment import assign
 
-TOWERS = {"data_seed": 0, "num_configurations": 576, "num_do_operations": 3, "num_cells": 4}
+SEEN = np.random.default_rng(0).permutation(576) < 288
+ONE_BLOCK = {
+    "data_seed": 0,
+    "num_configurations": 576,
+    "seen": SEEN,
+    "num_do_operations": 3,
+    "blocks": ((0, 1, 2, 3),),
+}
+THREE_BLOCKS = ONE_BLOCK | {"blocks": ((4, 5), (0, 1), (2, 3))}
 
 
 def test_an_assignment_is_a_pure_function_of_its_index() -> None:
-    assert assign(17, **TOWERS) == assign(17, **TOWERS)
-    assert assign(17, **TOWERS) != assign(17, **(TOWERS | {"data_seed": 1}))
+    assert assign(17, **ONE_BLOCK) == assign(17, **ONE_BLOCK)
+    assert assign(17, **ONE_BLOCK) != assign(17, **(ONE_BLOCK | {"data_seed": 1}))
 
 
-def test_every_configuration_meets_every_cell_equally_often() -> None:
-    met = Counter((assign(pair, **TOWERS).first, assign(pair, **TOWERS).cell) for pair in range(4 * 576))
+def test_every_configuration_meets_every_cell_of_the_one_block_equally_often() -> None:
+    met = Counter((assign(pair, **ONE_BLOCK).first, assign(pair, **ONE_BLOCK).cell) for pair in range(4 * 576))
     assert len(met) == 4 * 576
     assert set(met.values()) == {1}
 
 
+def test_both_cells_of_a_block_are_met_by_the_same_twins() -> None:
+    for pair in range(0, 200, 2):
+        first, second = assign(pair, **THREE_BLOCKS), assign(pair + 1, **THREE_BLOCKS)
+        assert (first.first, first.seconds, first.do_operation) == (second.first, second.seconds, second.do_operation)
+        assert (first.cell, second.cell) in THREE_BLOCKS["blocks"]
+
+
+@pytest.mark.parametrize("num_do_operations", [1, 2, 3, 6])
+def test_kinds_of_block_meet_kinds_of_do_operation_equally_often(num_do_operations: int) -> None:
+    prescribed = THREE_BLOCKS | {"num_do_operations": num_do_operations}
+    pairs = [assign(pair, **prescribed) for pair in range(2 * 2 * 6 * 18)]
+    met = Counter((bool(SEEN[pair.first]), pair.cell, pair.do_operation) for pair in pairs)
+    assert len(met) == 2 * 6 * num_do_operations
+    assert np.ptp(list(met.values())) == 0
+
+
 def test_configurations_of_the_second_twin_are_level_too() -> None:
-    seconds = Counter(assign(pair, **TOWERS).seconds[0] for pair in range(0, 4 * 576, 4))
+    seconds = Counter(assign(pair, **ONE_BLOCK).seconds[0] for pair in range(0, 4 * 576, 4))
     assert set(seconds.values()) == {1}
 
 
 def test_both_twins_come_from_the_same_half_of_the_configurations() -> None:
-    seen = seen_configurations(576, data_seed=0)
-    assert seen.sum() == 288
     for pair in range(0, 200):
-        assignment = assign(pair, **TOWERS)
-        assert (seen[list(assignment.seconds)] == seen[assignment.first]).all()
+        assignment = assign(pair, **ONE_BLOCK)
+        assert (SEEN[list(assignment.seconds)] == SEEN[assignment.first]).all()
         assert assignment.first not in assignment.seconds
 
 
-def test_do_operations_are_level_within_each_half() -> None:
-    seen = seen_configurations(576, data_seed=0)
-    kinds = Counter(
-        (bool(seen[assign(pair, **TOWERS).first]), assign(pair, **TOWERS).do_operation) for pair in range(0, 2400, 4)
-    )
-    assert len(kinds) == 6
-    assert np.ptp(list(kinds.values())) == 0
+def test_where_nothing_is_held_out_twins_come_from_all_configurations() -> None:
+    prescribed = ONE_BLOCK | {"seen": None, "num_configurations": 16}
+    assert {assign(pair, **prescribed).first for pair in range(0, 4 * 16, 4)} == set(range(16))
+    assert len(assign(0, **prescribed).seconds) == 15
+
+
+def test_among_hundreds_of_millions_of_configurations_any_are_drawn() -> None:
+    """Six balls with the released grid."""
+    prescribed = ONE_BLOCK | {"seen": None, "num_configurations": 27**6}
+    firsts = [assign(pair, **prescribed).first for pair in range(0, 4 * 200, 4)]
+    assert len(set(firsts)) == 200
+    assert 0.4 < np.mean(firsts) / 27**6 < 0.6
+    assert assign(4, **prescribed) != assign(8, **prescribed)
+    assert assign(4, **prescribed).first == assign(5, **prescribed).first

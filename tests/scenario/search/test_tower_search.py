@@ -44,7 +44,7 @@ def test_a_proposed_c_is_a_under_the_do_operation(kind: str, blocktower: Blockto
 
 @pytest.mark.parametrize("cell", TOWER_CELLS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_candidates_fill_the_cell_and_its_opposite_on_paper(kind: str, cell: TowerCell, blocktower: Blocktower) -> None:
+def test_candidates_fill_the_cell_and_its_twin_on_paper(kind: str, cell: TowerCell, blocktower: Blocktower) -> None:
     grid, statics = blocktower.confounders, blocktower.statics
     twins = (grid.decode(0, 3), grid.decode(grid.num_configurations(3) - 1, 3))
     scene, do_operation = next(
@@ -53,11 +53,11 @@ def test_candidates_fill_the_cell_and_its_opposite_on_paper(kind: str, cell: Tow
     towers = [tower_of(scene), tower_of(do_operation.apply(scene))]
     every = statics.combinations(3)
     margins = np.stack([statics.margins(*tower, every)[0] for tower in towers])
-    for confounders, expected in zip(twins, (cell, cell.opposite), strict=True):
+    for confounders, expected in zip(twins, (cell, cell.twin), strict=True):
         own = (every.mass == confounders.mass).all(axis=1) & np.isclose(every.tilt * 10, confounders.gravity_xy).all(
             axis=1
         )
-        assert TowerCell(*(margins[:, own][:, 0] > 0)) == expected
+        assert tuple(margins[:, own][:, 0] > 0) == expected[:2]
         assert (np.abs(margins[:, own]) >= blocktower.min_margin - 1e-9).all()
     assert agreement((margins > 0)[None], cell)[0] >= blocktower.min_agreement
     assert do_operation.kind == kind

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cophy.scenario.search.towers import TOWER_CELLS, TowerCell, Towers, agreement, tower_of
+from cophy.scenario.search.towers import TOWER_BLOCKS, TOWER_CELLS, TowerCell, Towers, agreement, tower_of
 
 LEANING = Towers(np.array([[[0.0, 0.0], [0.3, -0.1], [0.2, 0.4]]]), np.array([[0.1, 0.7, 1.2]]))
 
@@ -20,14 +20,25 @@ def test_a_top_is_put_on_every_tower() -> None:
     assert higher.yaw.tolist() == [[0.1, 0.7, 1.2, 0.5]]
 
 
-def test_cells_are_all_outcomes_and_come_with_their_opposites() -> None:
-    assert [cell.name for cell in TOWER_CELLS] == ["stands_stands", "falls_falls", "stands_falls", "falls_stands"]
-    assert {cell.opposite for cell in TOWER_CELLS} == set(TOWER_CELLS)
-    assert TowerCell(True, False).opposite == TowerCell(False, True)
+def test_cells_have_names_and_come_with_those_of_their_twins() -> None:
+    one_stands = ["stands_stands", "falls_falls", "stands_falls", "falls_stands"]
+    assert [cell.name for cell in TOWER_CELLS] == [*one_stands, "both_fall_stands", "both_fall_falls"]
+    assert {cell.twin for cell in TOWER_CELLS} == set(TOWER_CELLS)
+    assert TowerCell(True, False, twin_observed=False).twin == TowerCell(False, True, twin_observed=True)
 
 
-@pytest.mark.parametrize("cell", TOWER_CELLS)
+def test_a_falls_under_both_twins_in_four_fifths_of_the_pairs() -> None:
+    cells = [TOWER_CELLS[index] for block in TOWER_BLOCKS for index in block]
+    assert np.mean([not (cell.observed or cell.twin_observed) for cell in cells]) == 0.8
+
+
+def test_both_configurations_of_a_block_meet_both_outcomes_of_c() -> None:
+    for first, second in TOWER_BLOCKS:
+        assert TOWER_CELLS[second] == TOWER_CELLS[first].twin
+
+
+@pytest.mark.parametrize("cell", TOWER_CELLS[:4])
 def test_agreement_is_the_share_that_does_as_the_standing_twin_does(cell: TowerCell) -> None:
     stands = np.array([[[True, True, True, True, False], [True, False, False, False, True]]])  # A; C
-    standing = cell if cell.observed else cell.opposite
+    standing = cell if cell.observed else cell.twin
     assert agreement(stands, cell).tolist() == [0.25 if standing.counterfactual else 0.75]

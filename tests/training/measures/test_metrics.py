@@ -7,7 +7,13 @@ import torch
 
 from cophy.scenario import Camera, Task
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
-from cophy.training.measures.metrics import collection, pixel_measures, position_measures, stability_measures
+from cophy.training.measures.metrics import (
+    collection,
+    mean_squared_error,
+    pixel_measures,
+    position_measures,
+    stability_measures,
+)
 from cophy.types import Prediction, Targets, take
 
 INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])
@@ -127,3 +133,13 @@ def test_losses_ignore_empty_slots() -> None:
 
 def test_a_logit_for_the_sequence_is_held_against_being_always_stable() -> None:
     assert stability_target(torch.zeros(2, 1, 2), targets()).tolist() == [[[True, False]], [[False, False]]]
+
+
+def test_what_a_mean_owes_to_its_draws_is_no_error() -> None:
+    position = targets().position.clone()
+    position[..., 0] += 3.0
+    variance = torch.zeros_like(position)
+    variance[..., 0] = 4.0
+    said = Prediction(position, draw_variance=variance)
+    for dims in (2, 3):
+        assert mean_squared_error(dims)(said, targets()).tolist() == pytest.approx([5.0 / dims] * 2)

@@ -1,13 +1,18 @@
 """What makes two trainings the same."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cophy.app.composition import composed, to_plain
+from cophy.app.composition import composed, settings, to_plain
+from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.store.states import States
 from cophy.models.baselines import CopyC
 from cophy.training.runs.reuse import fingerprint
+from cophy.training.runs.trainer import with_epochs
 from cophy.training.trained.checkpoints import Origin
 
 PARTS = ("model", "training", "scenario", "split", "size", "data_seed", "positions", "num_objects", "render")
@@ -33,6 +38,25 @@ def test_what_changes_weights_counts() -> None:
         fingerprint_of(max_epochs=1),
     ]
     assert len({fingerprint_of(), *others}) == 6
+
+
+def test_twice_the_epochs_are_another_training() -> None:
+    doubled, without_limit = with_epochs(PLAIN["trainer"], 2), with_epochs({"max_epochs": -1}, 2)
+    assert (doubled["max_epochs"], without_limit["max_epochs"]) == (2 * PLAIN["trainer"]["max_epochs"], -1)
+    assert fingerprint_of(**doubled) == fingerprint_of(max_epochs=doubled["max_epochs"]) != fingerprint_of()
+
+
+def training_of(split: str) -> str:
+    """The fingerprint of training for a split of towers."""
+    chosen = settings("train", "size=tiny", f"split={split}")
+    states = States(DatasetSpec(chosen.scenario, 3, chosen.size, 0), Path("data"))
+    data = CounterfactualDataModule(chosen.split, train_set=states, test_set=states, batch_size=2, workers=1)
+    epochs = with_epochs(PLAIN["trainer"], chosen.split.epochs_factor)
+    return fingerprint_of(replace(ORIGIN, trained_on=data.trained_on), **epochs)
+
+
+def test_seen_and_unseen_configurations_are_tested_on_one_training() -> None:
+    assert training_of("3to3_seen") == training_of("3to3_unseen") != training_of("3to3")
 
 
 def test_what_is_only_tested_on_does_not_count() -> None:

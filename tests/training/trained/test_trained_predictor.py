@@ -45,6 +45,8 @@ def test_a_checkpoint_brings_its_network_and_its_scenario(tmp_path: Path) -> Non
         ({"_target_": "cophy.models.derenderer.Derenderer"}, "only predictors of cophy.models are loaded"),
         ({"_target_": "cophy.models.cophynet.torch.hub.load"}, "cannot be imported|is not a torch.nn.Module"),
         ({"confounders": "ground_truth"}, "wants the true confounders"),
+        ({"object_type": True}, "has model.object_type=true, which no de-renderer estimates"),
+        ({"pose": True}, "has model.pose=true, which no de-renderer estimates"),
         ({"hidden_dim": 4}, "does not fit cophy.models.cophynet.CoPhyNet as it is now"),
         ({"_partial_": True}, "is no argument of a network"),
     ],

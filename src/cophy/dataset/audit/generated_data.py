@@ -5,9 +5,12 @@ from collections.abc import Iterator
 from cophy.dataset.audit.balance import shapes, shares, trajectories
 from cophy.dataset.audit.bias.shortcuts import bias
 from cophy.dataset.audit.checks import Arrays, Check
+from cophy.dataset.audit.do_operations_matter import do_operations_matter
 from cophy.dataset.audit.first_frames import geometries
-from cophy.dataset.audit.resimulation import simulation
 from cophy.dataset.audit.rigid_bodies import states
+from cophy.dataset.audit.simulated.convergence import convergence
+from cophy.dataset.audit.simulated.identifiability import identifiability
+from cophy.dataset.audit.simulated.resimulation import simulation
 from cophy.dataset.audit.tower_outcomes import towers
 from cophy.dataset.audit.twin_pairs import twins
 from cophy.dataset.spec import DatasetSpec
@@ -19,10 +22,11 @@ def audit_generated(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -
     Args:
         arrays: of the whole dataset.
         spec: of the dataset.
-        replayed_pairs: how many twin pairs are made and simulated again.
+        replayed_pairs: how many twin pairs are made and simulated again, and under other confounders.
     """
     yield from states(arrays, spec)
     yield from twins(arrays, spec)
+    yield from do_operations_matter(arrays, spec)
     yield from geometries(arrays, spec.num_objects)
     yield from shares(arrays, spec)
     if spec.scenario.statics is not None:
@@ -32,5 +36,7 @@ def audit_generated(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -
         yield from trajectories(arrays, spec)
     yield from bias(arrays, spec)
     yield from simulation(arrays, spec, replayed_pairs)
+    yield from convergence(arrays, spec, replayed_pairs)
+    yield from identifiability(arrays, spec, replayed_pairs)
     simulations = arrays["pair_simulations"][::2].sum() / len(arrays["twin"])
     yield Check("simulations per experiment", f"{simulations:.2f}", True)

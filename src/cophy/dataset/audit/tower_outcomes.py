@@ -22,14 +22,23 @@ def towers(arrays: Arrays, spec: DatasetSpec, statics: TowerStatics) -> Iterator
         statics: of its scenario.
     """
     standing = stands(arrays, statics.fallen_distance)
-    words, names = np.where(standing, "stands", "falls"), np.array(spec.scenario.cells())[arrays["cell"]]
-    right = np.char.add(np.char.add(words[:, 0], "_"), words[:, 1]) == names
-    yield Check("labels agree with the trajectories", f"{right.mean():.1%}", bool(right.all()))
-    alike = np.flatnonzero((standing[::2] == standing[1::2]).any(axis=1))
-    yield none_wrong("twins have opposite outcomes, AB and CD", (2 * alike).tolist())
+    names = np.array(spec.scenario.cells())[arrays["cell"]]
+    right = _cells(standing) == names
+    yield Check("cells agree with the trajectories", f"{right.mean():.1%}", bool(right.all()))
+    alike = standing[::2] == standing[1::2]
+    yield none_wrong("twins have opposite outcomes of CD", (2 * np.flatnonzero(alike[:, 1])).tolist())
+    stand_twice = np.flatnonzero(alike[:, 0] & standing[::2, 0])
+    yield none_wrong("no A stands under both twins' confounders", (2 * stand_twice).tolist())
     yield _statics(arrays, statics, standing)
     yield _agreement(arrays, statics, names)
     yield from stability_per_value(arrays, standing[:, 1], spec.num_objects)
+
+
+def _cells(standing: np.ndarray) -> np.ndarray:
+    """(experiment,) names of the cells that trajectories belong to."""
+    words = np.where(standing, "stands", "falls")
+    both_fall = np.repeat(~standing[::2, 0] & ~standing[1::2, 0], 2)
+    return np.char.add(np.char.add(np.where(both_fall, "both_fall", words[:, 0]), "_"), words[:, 1])
 
 
 def stability_per_value(arrays: Arrays, standing: np.ndarray, num_objects: int) -> Iterator[Check]:

@@ -1,6 +1,8 @@
 """What models are fed: stored arrays as tensors, and the LightningDataModules over them.
 
 batches: arrays of experiments to `Batch`: what models see, and the truth.
+declared_inputs: which optional inputs the configuration of a model declares.
+appearance_features: object types and poses as numbers per object.
 confounder_features: the true confounders as numbers per object, standardised.
 counterfactual_dataset: one split of experiments, whole in memory.
 counterfactual_datamodule: experiments for predictors of D.

@@ -11,9 +11,11 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from cophy.dataset import generation
+from cophy.dataset.feed.appearance_features import with_appearance
 from cophy.dataset.feed.batches import to_batch, with_estimates
 from cophy.dataset.feed.confounder_features import confounder_features, confounder_statistics, standardised
 from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
+from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.store.estimates import Estimates, Sees
 from cophy.dataset.store.experiment_set import ExperimentSet
@@ -42,7 +44,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         workers: int,
         derenderer: Sees | None = None,
         estimated: Sequence[str] = (),
-        with_confounders: bool = False,
+        declared: DeclaredInputs | None = None,
         needs_confounders: bool = False,
     ) -> None:
         """Note what is wanted; nothing is read yet.
@@ -55,7 +57,7 @@ class CounterfactualDataModule(L.LightningDataModule):
             workers: Processes that make missing data.
             derenderer: Whose estimates of AB and C are seen instead of true positions, or None.
             estimated: Names of the splits of which only the estimates are seen.
-            with_confounders: Whether the true confounders are among the inputs.
+            declared: Which optional inputs the model is given; None for none of them.
             needs_confounders: Whether the run needs data that tell them, as input or to learn from.
         """
         super().__init__()
@@ -64,7 +66,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         self.train_set, self.test_set = train_set, test_set
         self.batch_size, self.workers = batch_size, workers
         self.derenderer, self.estimated = derenderer, estimated
-        self.with_confounders, self.needs_confounders = with_confounders, needs_confounders
+        self.declared, self.needs_confounders = declared or DeclaredInputs(), needs_confounders
 
     @property
     def dataset_ids(self) -> list[str]:
@@ -97,7 +99,7 @@ class CounterfactualDataModule(L.LightningDataModule):
             return
         arrays = {each.id: self._load(each) for each in (self.train_set, self.test_set)}
         chosen = {split: self._select(arrays, split) for split in SPLITS}
-        batches = {split: to_batch(chosen[split], self.scenario) for split in SPLITS}
+        batches = {split: self._batch(chosen[split]) for split in SPLITS}
         self._add_confounders(batches, chosen)
         for split in self.estimated:
             batches[split] = with_estimates(batches[split], chosen[split], self.scenario)
@@ -128,6 +130,9 @@ class CounterfactualDataModule(L.LightningDataModule):
             )
         return {name: array[rows] for name, array in stored.items()}
 
+    def _batch(self, arrays: Arrays) -> Batch:
+        return with_appearance(to_batch(arrays, self.scenario), arrays, self.declared)
+
     def _set_of(self, split: str) -> ExperimentSet:
         return self.test_set if split == "test" else self.train_set
 
@@ -138,7 +143,7 @@ class CounterfactualDataModule(L.LightningDataModule):
             raise CophyError(
                 f"{self.train_set.directory} does not tell all true confounders, which this run needs: use other data"
             )
-        if not self.with_confounders:
+        if not self.declared.confounders:
             return
         presence = {split: batches[split].inputs.observed_presence for split in SPLITS}
         statistics = confounder_statistics(features["train"], presence["train"])

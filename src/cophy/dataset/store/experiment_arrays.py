@@ -9,12 +9,6 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
 from cophy.dataset.store.hdf5_arrays import Field, Fields, empty_arrays
 from cophy.scenario import Displace, Experiment
-from cophy.scenario.search.assignment import seen_configurations
-
-# What is called a cell everywhere else is called a stratum on disk: an array of the shards, and a list of names in the
-# manifest. The first datasets were written so, and bytes do not change.
-CELL_ON_DISK = "stratum"
-CELLS_ON_DISK = "strata"
 
 CONFOUNDERS_OF_OBJECTS = ("mass", "friction", "restitution")
 
@@ -54,7 +48,7 @@ def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
         "do_operation": Field((count,), "|u1"),
         "do_slot": Field((count,), "|u1"),
         "do_offset": Field((count, 3), "<f4"),
-        "cell": Field((count,), "|u1", stored_as=CELL_ON_DISK),
+        "cell": Field((count,), "|u1"),
         "twin": Field((count,), "<i4"),
         "split": Field((count,), "|u1"),
         "background_seed": Field((count,), "<i4"),
@@ -74,11 +68,11 @@ def to_arrays(experiments: Sequence[Experiment], indices: Sequence[int], spec: D
     arrays["object_index"][:] = -1
     arrays["twin"][:] = np.array(indices) // 2
     arrays["split"][:] = split_of_experiments(spec.num_experiments, spec.data_seed)[list(indices)]
-    seen = seen_configurations(spec.scenario.confounders.num_configurations(spec.num_objects), spec.data_seed)
+    seen = spec.scenario.seen_configurations(spec.num_objects, spec.data_seed)
     for row, experiment in enumerate(experiments):
         for name, value in _of_experiment(experiment, spec).items():
             arrays[name][row] = value
-        arrays["seen"][row] = seen[experiment.configuration]
+        arrays["seen"][row] = seen is None or seen[experiment.configuration]
         for index, body in enumerate(experiment.scene.objects):
             arrays["object_index"][row, body.slot] = index
             arrays["shape"][row, body.slot] = body.shape

@@ -14,14 +14,19 @@ Clip = tuple[int, int, np.ndarray]  # experiment of a shard, sequence, RGB (T, R
 Reader = Callable[[int, int, int], np.ndarray]  # row of the arrays, sequence, time -> RGB (R, R, 3) uint8
 
 
+ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual")  # docs/oracles.md
+
+
 @dataclass(frozen=True)
 class OracleSettings:
     """What the oracles are asked with, explained in conf/model/.
 
-    draws: of confounders per experiment. noise: how far the observed positions may be off, m.
+    draws: of D where not all that could be is enumerated. max_configurations: how many configurations are tried on AB.
+    noise: how far every observed coordinate may be off, m.
     """
 
     draws: int
+    max_configurations: int
     noise: float
 
 
@@ -44,7 +49,7 @@ class ExperimentSet(ShardSet):
 
     @abstractmethod
     def forecasts(self, settings: OracleSettings) -> ShardSet:
-        """What the two oracles say of the test experiments.
+        """What the oracles say of the test experiments.
 
         Raises:
             CophyError: the data lack what a simulation starts from.

@@ -1,32 +1,36 @@
-"""What the two oracles say of every test experiment, in shards beside the states: it takes simulations, so it is kept."""
+"""What the oracles say of every test experiment, in shards beside the states: it takes simulations, so it is kept."""
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cophy.dataset.replay import do_operation_of, scene_of
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, split_of_experiments
 from cophy.dataset.state_features import stable_frames
-from cophy.dataset.store.experiment_set import ExperimentSet, OracleSettings
+from cophy.dataset.store.experiment_set import ORACLES, ExperimentSet, OracleSettings
 from cophy.dataset.store.hdf5_arrays import Field, Fields, empty_arrays, encode
 from cophy.dataset.store.shardset import ShardSet
-from cophy.scenario import Simulator
-from cophy.scenario.oracles.posterior import Hypothesis, counterfactual_hypotheses, feedforward_hypotheses
+from cophy.errors import CophyError
+from cophy.scenario import Scenario, Trajectory
+from cophy.scenario.oracles.hypotheses import Hypotheses
+from cophy.scenario.oracles.posterior import posterior
+from cophy.scenario.oracles.resampling import resample
+from cophy.scenario.physics.remembering_simulator import RememberingSimulator
 
-VERSION = 1  # raise it when other hypotheses are tried
-ORACLES = ("feedforward", "counterfactual")
+VERSION = 2  # raise it when other hypotheses are tried
+STORED_PRECISION_M = 1e-4  # positions are stored with less error
 
 
 class OracleForecasts(ShardSet):
     """By each of ORACLES, for the experiments of the test split.
 
     experiment: (experiment,) their indices in the dataset. <oracle>_position: (experiment, T-1, K, 3), the mean of D, metres.
+    <oracle>_draw_variance: the same shape, the variance that this mean owes to the draws that it is of, m².
     <oracle>_stable: (experiment, T-1, K), the probability that an object is stable.
     """
 
@@ -45,15 +49,15 @@ class OracleForecasts(ShardSet):
         arrays, stored = self.states.read(shard), empty_arrays(fields)
         first = self.spec.experiments_of_shard(shard)[0]
         stored["experiment"][:] = rows + first
-        with Simulator() as simulator:
-            for index, row in enumerate(rows.tolist()):
-                if index % 2 == 0:  # twins share all that the feedforward oracle sees
-                    alike = self._without(arrays, row, first, simulator)
-                found = {"feedforward": alike, "counterfactual": self._with(arrays, row, first, simulator)}
-                for oracle, hypotheses in found.items():
-                    for name, value in self._mean(hypotheses).items():
-                        stored[f"{oracle}_{name}"][index] = value
-                advance(1)
+        with RememberingSimulator() as simulator:
+            for index in range(0, len(rows), 2):
+                simulator.forget()  # twins share scenes, pairs do not
+                observed = self._observed(arrays, rows[index : index + 2])
+                for twin, found in enumerate(self._of_pair(int(first + rows[index]) // 2, observed, simulator)):
+                    for oracle, hypotheses in found.items():
+                        for name, value in forecast_of(hypotheses, self.spec.scenario).items():
+                            stored[f"{oracle}_{name}"][index + twin] = value
+                advance(2)
         advance(len(self.spec.experiments_of_shard(shard)) - len(rows))
         path.write_bytes(encode(stored, fields))
         return {"simulations": simulator.num_simulations}
@@ -63,45 +67,77 @@ class OracleForecasts(ShardSet):
         steps = (count, scenario.clock.num_frames - 1, scenario.num_slots)
         fields = {"experiment": Field((count,), "<i4")}
         for oracle in ORACLES:
-            fields |= {f"{oracle}_position": Field((*steps, 3), "<f4"), f"{oracle}_stable": Field(steps, "<f4")}
+            fields |= {f"{oracle}_{name}": Field((*steps, 3), "<f4") for name in ("position", "draw_variance")}
+            fields[f"{oracle}_stable"] = Field(steps, "<f4")
         return fields
 
     def description(self) -> dict[str, Any]:
         """What was asked of the oracles."""
         return {"dataset": self.spec.id, "version": VERSION, **asdict(self.settings)}
 
-    def _without(self, arrays: dict[str, np.ndarray], row: int, first: int, simulator: Simulator) -> list[Hypothesis]:
-        return feedforward_hypotheses(
-            self.spec.scenario,
-            scene_of(arrays, row, self.spec.scenario),
-            do_operation_of(arrays, row, self.spec.scenario),
-            draws=self.settings.draws,
-            rng=np.random.default_rng((0, first + row)),
-            simulator=simulator,
-        )
+    def _of_pair(
+        self, pair: int, observed: np.ndarray, simulator: RememberingSimulator
+    ) -> Iterator[dict[str, Hypotheses]]:
+        """Of both twins, by oracle. Twins share what depends on nothing but A, C, the do-operation and initial velocities.
 
-    def _with(self, arrays: dict[str, np.ndarray], row: int, first: int, simulator: Simulator) -> list[Hypothesis]:
+        Both are made again, because rounding them to what is stored would change how some towers fall.
+
+        Args:
+            pair: Index of the twin pair in the dataset.
+            observed: (twin, T, K, 3) stored positions in AB, metres.
+            simulator: What could be is simulated with it.
+
+        Raises:
+            CophyError: The stored pair is another one.
+        """
+        scenario, settings = self.spec.scenario, self.settings
+        twins = scenario.twin_pair(self.spec.num_objects, data_seed=self.spec.data_seed, pair=pair, simulator=simulator)
+        for twin, seen in zip(twins, observed, strict=True):
+            self._check_same(twin.observed, seen)
+        scene, do_operation = twins[0].scene, twins[0].do_operation
+
+        def resampled(kind: int, index: int, **known: Any) -> Hypotheses:
+            rng = np.random.default_rng((kind, index))
+            return resample(scenario, scene, do_operation, draws=settings.draws, rng=rng, simulator=simulator, **known)
+
+        alike = resampled(0, pair)
+        at_rest = scene == scene.at_rest()  # then nobody has to be told how A moves
+        moving = alike if at_rest else resampled(1, pair, velocity_known=True)
+        for number, (twin, seen) in enumerate(zip(twins, observed, strict=True)):
+            index = 2 * pair + number
+            rng = np.random.default_rng((3, index))
+            yield {
+                "feedforward": alike,
+                "initial_velocity": moving,
+                "confounders": resampled(2, index, configuration=twin.configuration),
+                "counterfactual": posterior(
+                    scenario, twin.scene, do_operation, seen, **asdict(settings), rng=rng, simulator=simulator
+                ),
+            }
+
+    def _observed(self, arrays: dict[str, np.ndarray], rows: np.ndarray) -> np.ndarray:
+        """(experiment, T, K, 3) positions in AB, metres."""
         stride = self.spec.scenario.clock.states_per_frame
-        return counterfactual_hypotheses(
-            self.spec.scenario,
-            scene_of(arrays, row, self.spec.scenario),
-            do_operation_of(arrays, row, self.spec.scenario),
-            arrays["states"][row, 0, ::stride, :, :3].astype(np.float64),
-            draws=self.settings.draws,
-            noise=self.settings.noise,
-            rng=np.random.default_rng((1, first + row)),
-            simulator=simulator,
-        )
+        return np.asarray(arrays["states"][rows, 0, ::stride, :, :3].astype(np.float64))
 
-    def _mean(self, hypotheses: list[Hypothesis]) -> dict[str, np.ndarray]:
-        scenario = self.spec.scenario
-        weight = np.array([hypothesis.weight for hypothesis in hypotheses])
-        states = np.stack([hypothesis.counterfactual.states for hypothesis in hypotheses])
-        stride = scenario.clock.states_per_frame
-        stable = stable_frames(states, stride, scenario.task.stable_speed)
-        values = {"position": states[:, ::stride, :, :3][:, 1:], "stable": stable}
-        return {name: np.average(value, axis=0, weights=weight) for name, value in values.items()}
+    def _check_same(self, made: Trajectory, seen: np.ndarray) -> None:
+        if not np.allclose(made.positions[0], seen[0], atol=STORED_PRECISION_M):
+            raise CophyError(
+                f"{self.states.directory} was made by other code: oracles make its test experiments again, and they came "
+                f"out otherwise. Delete it and run `{self.states.command}`"
+            )
 
     def _rows(self, shard: int) -> np.ndarray:
         split = split_of_experiments(self.spec.num_experiments, self.spec.data_seed)
         return np.flatnonzero(split[list(self.spec.experiments_of_shard(shard))] == SPLITS.index("test"))
+
+
+def forecast_of(hypotheses: Hypotheses, scenario: Scenario) -> dict[str, np.ndarray]:
+    """The mean of D, the variance that it owes to draws, and the probability of being stable; see `OracleForecasts`."""
+    stride, states = scenario.clock.states_per_frame, hypotheses.states
+    position = states[:, ::stride, :, :3][:, 1:]
+    return {
+        "position": hypotheses.mean(position),
+        "draw_variance": hypotheses.variance_of_mean(position),
+        "stable": hypotheses.mean(stable_frames(states, stride, scenario.task.stable_speed)),
+    }

@@ -21,17 +21,16 @@ class DamagedShardError(Exception):
 class Field:
     """An array of a shard.
 
-    shape: of the whole array. dtype: as NumPy writes it. stored_as: its name in the file, where that is another one.
+    shape: of the whole array. dtype: as NumPy writes it.
     storage: how HDF5 stores it (chunks, filters), as keywords of `h5py.Group.create_dataset`.
     """
 
     shape: tuple[int, ...]
     dtype: str
-    stored_as: str | None = None
     storage: Mapping[str, Any] = field(default_factory=dict)
 
 
-Fields = Mapping[str, Field]  # by the name of the array in memory, in the order in which a file stores them
+Fields = Mapping[str, Field]  # by the name of the array, in the order in which a file stores them
 
 
 def empty_arrays(fields: Fields) -> dict[str, np.ndarray]:
@@ -44,7 +43,7 @@ def encode(arrays: Mapping[str, np.ndarray], fields: Fields) -> bytes:
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver=OLDEST_FORMAT) as file:
         for name, field in fields.items():
-            file.create_dataset(field.stored_as or name, data=arrays[name], track_times=False, **field.storage)
+            file.create_dataset(name, data=arrays[name], track_times=False, **field.storage)
     return buffer.getvalue()
 
 
@@ -60,9 +59,7 @@ def creating(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Itera
     with h5py.File(path, "w", libver=OLDEST_FORMAT) as file:
         file.attrs.update(attributes)
         yield {
-            name: file.create_dataset(
-                field.stored_as or name, field.shape, field.dtype, track_times=False, **field.storage
-            )
+            name: file.create_dataset(name, field.shape, field.dtype, track_times=False, **field.storage)
             for name, field in fields.items()
         }
 
@@ -85,7 +82,7 @@ def reading(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterat
         with h5py.File(path, "r") as file:
             if any(file.attrs[name] != value for name, value in attributes.items()):
                 raise DamagedShardError("it was made of other files than those beside it")
-            yield {name: _array_in(file, field.stored_as or name, field) for name, field in fields.items()}
+            yield {name: _array_in(file, name, field) for name, field in fields.items()}
     except (OSError, KeyError, RuntimeError) as error:
         raise DamagedShardError(" ".join(str(error).split())) from error
 

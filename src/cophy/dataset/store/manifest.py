@@ -34,6 +34,15 @@ def read_checksums(directory: Path, shards: Sequence[str]) -> dict[str, str] | N
     return dict(checksums)
 
 
+def read_format(directory: Path) -> int | None:
+    """The version of the format that a dataset says it has, or None where it does not say."""
+    try:
+        found = json.loads((directory / MANIFEST).read_bytes())["configuration"]["format"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return found if isinstance(found, int) else None
+
+
 def write(directory: Path, shards: Sequence[str], description: Mapping[str, Any]) -> None:
     """Vouch for a finished set.
 

@@ -74,6 +74,10 @@ class ShardSet(ABC):
         """SHA-256 of the files that a shard was made of; they are stored as its attributes."""
         return {}
 
+    def remarks(self) -> list[str]:
+        """What to say where the set is not there: a sentence about each thing beside it that may be taken for it."""
+        return []
+
     def check_arrays(self, arrays: dict[str, np.ndarray], shard: int) -> None:  # noqa: B027, nothing unless overridden
         """Raise DamagedShardError where values cannot be, although shapes and types are right."""
 
@@ -101,7 +105,8 @@ class ShardSet(ABC):
         """The checksums of a finished set; an unfinished one is an error that names the remedy."""
         checksums = self.checksums()
         if checksums is None:
-            raise CophyError(f"{self.directory} is not finished: run `{self.command}`")
+            remarks = "".join(f" ({remark})" for remark in self.remarks())
+            raise CophyError(f"{self.directory} is not finished: run `{self.command}`{remarks}")
         return checksums
 
     def checksum(self, shard: int) -> str:

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from cophy.dataset.card import write_card
-from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.spec import FORMAT_VERSION, DatasetSpec
 from cophy.dataset.splits import SPLITS
-from cophy.dataset.store.experiment_arrays import CELLS_ON_DISK, experiment_fields, to_arrays
+from cophy.dataset.store.experiment_arrays import experiment_fields, to_arrays
 from cophy.dataset.store.experiment_set import ExperimentSet, OracleSettings
 from cophy.dataset.store.forecasts import OracleForecasts
 from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, encode
 from cophy.dataset.store.images import Images
+from cophy.dataset.store.manifest import read_format
 from cophy.scenario import Experiment, Shape, Simulator
 from cophy.scenario.rendering.frames import RenderSettings
 
@@ -46,6 +47,16 @@ class States(ExperimentSet):
         self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
     ) -> bool:
         return (num_experiments, data_seed) == (self.spec.size.num_experiments, self.spec.data_seed)
+
+    def remarks(self) -> list[str]:
+        beside = self.directory.parent.glob(f"{self.spec.num_objects}-{self.spec.size.name}-*")
+        formats = {directory: read_format(directory) for directory in sorted(beside)}
+        return [
+            f"{directory} is of format {found}, this version of cophy makes and reads format {FORMAT_VERSION}: delete "
+            "it, or use it with the version that made it, which its manifest.json names"
+            for directory, found in formats.items()
+            if found not in (None, FORMAT_VERSION)
+        ]
 
     def fields(self, shard: int) -> Fields:
         return experiment_fields(self.spec, len(self.spec.experiments_of_shard(shard)))
@@ -87,7 +98,7 @@ class States(ExperimentSet):
         return {
             "id": spec.id,
             "configuration": spec.generating_configuration(),
-            CELLS_ON_DISK: list(spec.scenario.cells()),
+            "cells": list(spec.scenario.cells()),
         }
 
 

@@ -1,21 +1,17 @@
 """A table of the paper with our numbers: each cell ours, with the paper's beside it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from cophy.report.tables.captions import caption
 from cophy.report.tables.paper_tables import PaperTable
 from cophy.report.tables.shares import ErrorsOf, share_interval
 
 MISSING, FAILED = "—", "failed"
 NUMBERS = ("ours", "sd", "low", "high")
-TESTED_ON = {  # positions= -> what a caption says of it
-    "ground_truth": "Tested on true positions.",
-    "derendered": "Trained and tested on positions estimated from pictures.",
-    "train_ground_truth_test_derendered": "Tested on positions estimated from pictures.",
-}
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,20 @@ def fill(table: PaperTable, runs: pd.DataFrame, errors_of: ErrorsOf | None = Non
     frame = pd.DataFrame(values)
     low, high = _share_intervals(table, frame, used, errors_of)
     frame = frame.assign(best=_best(table, frame), share=_share(table, frame), share_low=low, share_high=high)
-    return FilledTable(table, frame, _caption(table, pd.concat(used)))
+    return FilledTable(table, frame, " ".join([caption(table, pd.concat(used)), *_controls(table, runs)]))
+
+
+def _controls(table: PaperTable, runs: pd.DataFrame) -> list[str]:
+    """A sentence for each control of the table that was run."""
+    if not table.controls:
+        return []
+    nothing: list[list[float | None]] = [[None] * len(table.columns) for _ in table.controls]
+    cells = fill(replace(table, rows=table.controls, paper=nothing, controls={}), runs).cells()
+    ours = {
+        label: row[~row.str.startswith(MISSING)].str.removesuffix(f" / {MISSING}") for label, row in cells.iterrows()
+    }
+    said = {label: ", ".join(f"{column} {text}" for column, text in row.items()) for label, row in ours.items()}
+    return [f"{label}: {numbers}." for label, numbers in said.items() if numbers]
 
 
 def select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
@@ -133,7 +142,7 @@ def _share(table: PaperTable, values: pd.DataFrame) -> "pd.Series[float]":
         return pd.Series(np.nan, index=values.index)
     method, other = _axes(table)
     without, with_ab = (
-        values[other].map(values[values[method] == oracle].set_index(other)["ours"]) for oracle in table.oracles
+        values[other].map(values[values[method] == oracle].set_index(other)["ours"]) for oracle in table.ends
     )
     return (without - values["ours"]) / (without - with_ab)
 
@@ -149,7 +158,7 @@ def _share_intervals(
         if errors_of is None or not table.oracles or "mse" not in ours or name in table.oracles:
             found.append((np.nan, np.nan))
             continue
-        without, with_ab = (runs[oracle, column] for oracle in table.oracles)
+        without, with_ab = (runs[oracle, column] for oracle in table.ends)
         found.append(share_interval(ours, without, with_ab, errors_of))
     return [low for low, _ in found], [high for _, high in found]
 
@@ -167,27 +176,3 @@ def _best(table: PaperTable, values: pd.DataFrame) -> "pd.Series[bool]":
     comparable = values["ours"].where(~values[method].isin([*table.bounds, *table.oracles]))
     best = comparable.groupby(values[other]).transform("min" if table.lower_is_better else "max")
     return comparable.eq(best) & comparable.notna()
-
-
-def _caption(table: PaperTable, used: pd.DataFrame) -> str:
-    better = "Lower" if table.lower_is_better else "Higher"
-    notes = [f"Each cell: ours / the paper's. {better} is better."]
-    if used.empty:
-        return " ".join([*notes, "Nothing was run yet."])
-    counts = ("num_train", "num_test", "epochs", "seed")  # floats where some run failed and has none
-    num_train, num_test, epochs, seeds = (
-        ", ".join(map(str, sorted(used[name].astype(int).unique()))) for name in counts
-    )
-    size = ", ".join(sorted(used["size"].unique()))
-    notes.append(" ".join(TESTED_ON[positions] for positions in sorted(used["positions"].unique())))
-    notes.append(f"Size {size}: {num_train} training and {num_test} test experiments; {epochs} epochs; seeds {seeds}.")
-    notes.append(
-        "[ ]: 95 % bootstrap interval over the twin pairs of the test split; ±: standard deviation over seeds."
-    )
-    if "gt_confounders" in used["ablation"].to_numpy():
-        notes.append(
-            "Where the true confounders are given, they include what positions hide: initial velocity, shape and orientation."
-        )
-    if "derenderer" in used and len(names := sorted(used["derenderer"].dropna().unique())):
-        notes.append(f"Positions estimated by de-renderer {' and '.join(names)} (hash of its checkpoint).")
-    return " ".join([*notes, table.note]).strip()

@@ -19,11 +19,12 @@ class PaperTable:
         paper: The paper's numbers, rows × columns.
         methods: "rows", "columns", or None where nothing competes.
         bounds: Labels of methods that are told more than the others; they do not compete.
-        oracles: Labels of the oracles: without AB, with AB.
+        oracles: Labels of the oracles, that without AB first, that with AB last.
         lower_is_better: Of the metric.
         scale: From the metric's unit to the table's.
         digits: After the point.
         note: Goes below it.
+        controls: Label -> what it adds to `select`, as of rows; their numbers, which the paper does not have, go below.
         also_derendered: Whether there is the same table with positions that a de-renderer estimates in testing.
     """
 
@@ -40,7 +41,13 @@ class PaperTable:
     scale: float = 1.0
     digits: int = 3
     note: str = ""
+    controls: dict[str, dict[str, str]] = field(default_factory=dict)
     also_derendered: bool = False
+
+    @property
+    def ends(self) -> tuple[str, str]:
+        """The oracles that the share of the possible gain is 0 % and 100 % for."""
+        return self.oracles[0], self.oracles[-1]
 
 
 def paper_tables() -> list[PaperTable]:

@@ -108,8 +108,15 @@ def _misplaced(line: dict[str, Any], directory: Path) -> list[str]:
 def _changes(line: dict[str, Any], directory: Path, expected: dict[str, Any]) -> list[str]:
     """Keys of the run's own configuration that are not what its names stand for; notes its epochs and metric_dims in the line."""
     own = OmegaConf.load(directory / ".hydra" / "config.yaml")
-    line["epochs"], line["metric_dims"] = int(own.trainer.max_epochs), int(own.scenario.task.metric_dims)
+    line["epochs"], line["metric_dims"] = _epochs(line, own), int(own.scenario.task.metric_dims)
     return [found for key, value in expected.items() for found in _differences(key, _plain(own, key), value)]
+
+
+def _epochs(line: dict[str, Any], own: Any) -> int:
+    """How long predictors of the run's split are trained; de-renderers see all of the data, whatever the split."""
+    of_predictor = not line["model"].startswith("derenderer")
+    factor = OmegaConf.select(own, "split.epochs_factor", default=1) if of_predictor else 1
+    return max(int(own.trainer.max_epochs) * factor, -1)
 
 
 def _plain(config: Any, key: str) -> Any:

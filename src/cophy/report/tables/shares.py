@@ -35,8 +35,8 @@ def stored_errors(run: dict[Any, Any]) -> Errors:
 @lru_cache(maxsize=256)  # an oracle is compared with every run
 def _stored_errors(directory: Path, dims: int) -> Errors:
     found = read_predictions(directory)
-    squared = np.square(found["position"] - found["target"])[..., :dims].mean(axis=(1, 3), dtype=np.float64)
-    present = found["presence"]
+    error = np.square(found["position"] - found["target"]) - found.get("draw_variance", 0.0)
+    squared, present = error[..., :dims].mean(axis=(1, 3), dtype=np.float64), found["presence"]
     return Errors(np.where(present, squared, 0.0).sum(axis=1) / present.sum(axis=1), found["pair"])
 
 

@@ -10,7 +10,7 @@ from cophy.scenario.blocktower import Blocktower
 from cophy.scenario.collision import Collision
 from cophy.scenario.oracles.initial_velocity_fit import InitialVelocityFit
 from cophy.scenario.oracles.unknown_scenario import unknown_scenario
-from cophy.scenario.physics.scene import Scene, Shape
+from cophy.scenario.physics.scene import Scene
 from cophy.scenario.physics.simulator import Simulator
 from cophy.scenario.scenario import Scenario
 from cophy.scenario.search.simulated import SimulatedSearch
@@ -38,54 +38,38 @@ def _of_balls(scenario: Balls, scene: Scene, rng: np.random.Generator) -> np.nda
 
 @draw_initial_velocities.register
 def _of_collision(scenario: Collision, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-    """A sphere is aimed anew; a cylinder shows by its axis where it is headed, up to the skew."""
-    moving, static = scene.objects
-    between = np.array(static.position[:2]) - moving.position[:2]
-    if moving.shape is Shape.CYLINDER:
-        across = 2 * np.arctan2(moving.quaternion_xyzw[2], moving.quaternion_xyzw[3])
-        angle = across - rng.uniform(-scenario.max_skew, scenario.max_skew)
-    else:
-        left = np.array([-between[1], between[0]]) / np.linalg.norm(between)
-        aim = between + rng.uniform(-scenario.max_aim_offset, scenario.max_aim_offset) * left
-        angle = np.arctan2(aim[1], aim[0])
-    direction = np.array([np.cos(angle), np.sin(angle)])
-    return np.stack([rng.uniform(scenario.speed[0], scenario.speed[1]) * direction, np.zeros(2)])
+    """All start alike, so A tells it."""
+    return scenario.initial_velocities(scene)
 
 
 @singledispatch
 def velocity_inference(
-    scenario: Scenario, scene: Scene, observed: np.ndarray, rng: np.random.Generator, simulator: Simulator
+    scenario: Scenario, scene: Scene, observed: np.ndarray, simulator: Simulator
 ) -> Callable[[Scene], Scene]:
     """How A moves at t = 0, inferred from AB.
 
     Args:
         scenario: whose objects they are.
-        scene: A at rest; its confounders do not matter.
+        scene: A with its true velocities, from which a fit may start; its confounders do not matter.
         observed: (T, K, 3) positions of AB at the frame rate, metres.
-        rng: where a fit starts is drawn from it.
         simulator: fits are simulated with it.
 
     Returns:
-        A function from A at rest, under any confounders, to A as it must have moved under these.
+        A function from A under any confounders to A as it must have moved under these.
     """
     raise unknown_scenario(scenario)
 
 
 @velocity_inference.register
 def _at_rest(
-    scenario: Blocktower, scene: Scene, observed: np.ndarray, rng: np.random.Generator, simulator: Simulator
+    scenario: Blocktower, scene: Scene, observed: np.ndarray, simulator: Simulator
 ) -> Callable[[Scene], Scene]:
     return lambda scene: scene
 
 
 @velocity_inference.register
 def _fitted(
-    scenario: SimulatedSearch, scene: Scene, observed: np.ndarray, rng: np.random.Generator, simulator: Simulator
+    scenario: SimulatedSearch, scene: Scene, observed: np.ndarray, simulator: Simulator
 ) -> Callable[[Scene], Scene]:
-    return InitialVelocityFit(
-        observed,
-        lambda: draw_initial_velocities(scenario, scene, rng),
-        solver=scenario.solver,
-        clock=scenario.clock,
-        simulator=simulator,
-    )
+    velocity = np.array([body.linear_velocity[:2] for body in scene.objects])
+    return InitialVelocityFit(observed, velocity, solver=scenario.solver, clock=scenario.clock, simulator=simulator)

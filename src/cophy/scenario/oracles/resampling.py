@@ -1,4 +1,4 @@
-"""CD of other experiments that the search could have made of the same A, C and do-operation."""
+"""What D could be without AB: CD of experiments that the search could have made of the same A, C and do-operation."""
 
 from functools import singledispatch
 
@@ -8,6 +8,7 @@ from cophy.errors import CophyError
 from cophy.scenario.blocktower import Blocktower
 from cophy.scenario.do_operations import DoOperation
 from cophy.scenario.oracles.configuration_prior import configuration_prior
+from cophy.scenario.oracles.hypotheses import Hypotheses
 from cophy.scenario.oracles.initial_velocities import draw_initial_velocities
 from cophy.scenario.oracles.unknown_scenario import unknown_scenario
 from cophy.scenario.physics.scene import Scene, Trajectory
@@ -15,7 +16,7 @@ from cophy.scenario.physics.simulator import Simulator
 from cophy.scenario.scenario import Scenario
 from cophy.scenario.search.simulated import SimulatedSearch
 
-MAX_TRIES_PER_DRAW = 200  # of initial velocities and two configurations
+MAX_TRIES_PER_PAIR = 400  # of initial velocities and two configurations
 
 
 @singledispatch
@@ -23,19 +24,24 @@ def resample(
     scenario: Scenario,
     scene: Scene,
     do_operation: DoOperation,
+    *,
     draws: int,
     rng: np.random.Generator,
     simulator: Simulator,
-) -> list[Trajectory]:
+    velocity_known: bool = False,
+    configuration: int | None = None,
+) -> Hypotheses:
     """CD of experiments as the search could have made them.
 
     Args:
         scenario: whose search is meant.
-        scene: A at rest; its confounders do not matter.
+        scene: A; its confounders are not looked at, and its velocities only where they are known.
         do_operation: what makes C of A.
-        draws: how many CD.
+        draws: how many CD; half as many where the configuration is known, because its twin's CD does not count.
         rng: confounders and initial velocities are drawn from it.
         simulator: CD are simulated with it.
+        velocity_known: whether the velocities are those of the scene, instead of drawn.
+        configuration: the confounders, instead of drawn ones.
 
     Raises:
         CophyError: the oracles do not know the scenario, or its search cannot have made this A.
@@ -48,14 +54,23 @@ def _towers(
     scenario: Blocktower,
     scene: Scene,
     do_operation: DoOperation,
+    *,
     draws: int,
     rng: np.random.Generator,
     simulator: Simulator,
-) -> list[Trajectory]:
+    velocity_known: bool = False,
+    configuration: int | None = None,
+) -> Hypotheses:
+    """Towers start at rest, as everybody knows; so the configuration is all that there is to draw."""
+    if configuration is not None:
+        known = scenario.simulate(simulator, do_operation.apply(scenario.under(configuration, scene)))
+        return Hypotheses([known], np.ones(1))
     prior = configuration_prior(scenario, scene, do_operation)
     drawn, counts = np.unique(rng.choice(len(prior), draws, p=prior), return_counts=True)
     found = [scenario.simulate(simulator, do_operation.apply(scenario.under(int(c), scene))) for c in drawn]
-    return [trajectory for trajectory, count in zip(found, counts, strict=True) for _ in range(count)]
+    return Hypotheses.drawn(
+        [[trajectory] for trajectory, count in zip(found, counts, strict=True) for _ in range(count)]
+    )
 
 
 @resample.register
@@ -63,17 +78,31 @@ def _simulated(
     scenario: SimulatedSearch,
     scene: Scene,
     do_operation: DoOperation,
+    *,
     draws: int,
     rng: np.random.Generator,
     simulator: Simulator,
-) -> list[Trajectory]:
-    """Twins are found as `search` finds them, with A and the do-operation held."""
-    count, found = scenario.confounders.num_configurations(len(scene.objects)), list[Trajectory]()
-    for _ in range(MAX_TRIES_PER_DRAW * draws):
-        if len(found) >= draws:
-            return found[:draws]
-        moving = scene.with_velocities(draw_initial_velocities(scenario, scene, rng))
-        twins = [scenario.under(int(c), moving) for c in rng.choice(count, 2, replace=False)]
-        if scenario.different_outcomes(twins, simulator) is not None:
-            found += scenario.different_outcomes([do_operation.apply(a) for a in twins], simulator) or ()
+    velocity_known: bool = False,
+    configuration: int | None = None,
+) -> Hypotheses:
+    """Twins are found as `search` finds them, with A, the do-operation and what is known held."""
+    count, pairs = scenario.confounders.num_configurations(len(scene.objects)), draws // 2
+    found = list[list[Trajectory]]()
+    for _ in range(MAX_TRIES_PER_PAIR * pairs):
+        if len(found) == pairs:
+            return Hypotheses.drawn(found)
+        moving = scene if velocity_known else scene.with_velocities(draw_initial_velocities(scenario, scene, rng))
+        twins = [scenario.under(c, moving) for c in _two_configurations(count, configuration, rng)]
+        observed = scenario.different_outcomes(twins, simulator)
+        if observed is not None:
+            both = scenario.different_outcomes([do_operation.apply(a) for a in twins], simulator, observed)
+            if both is not None:
+                found.append(list(both if configuration is None else both[:1]))
     raise CophyError(f"no {scenario.name} twins but its own fit this scene: it was not made with this configuration")
+
+
+def _two_configurations(count: int, first: int | None, rng: np.random.Generator) -> tuple[int, int]:
+    """Two different configurations, of which the first may be given."""
+    if first is None:
+        first = int(rng.integers(count))
+    return first, (first + 1 + int(rng.integers(count - 1))) % count

@@ -47,7 +47,8 @@ class TowerPrior:
         # (cell, combination of the first twin, of the second): how many geometries fit
         fitting = np.einsum("gci,gcj->cij", first, second, optimize=True)
         partners = np.maximum((fitting > 0).sum(axis=2, keepdims=True), 1)
-        self._pairs = 1 / (partners * np.maximum(fitting, 1))
+        share_of_cell = np.bincount(np.concatenate(scenario.blocks()), minlength=len(TOWER_CELLS))
+        self._pairs = share_of_cell[:, None, None] / (partners * np.maximum(fitting, 1))
 
     def __call__(self, towers: tuple[Towers, Towers]) -> np.ndarray:
         """(geometry, combination) probabilities, for towers A and C."""
@@ -67,10 +68,10 @@ class TowerPrior:
         stands, falls = margins >= self._search.min_margin, margins <= -self._search.min_margin
 
         def fits(cell: TowerCell) -> np.ndarray:
-            observed, counterfactual = ((stands if outcome else falls)[:, s] for s, outcome in enumerate(cell))
+            observed, counterfactual = ((stands if outcome else falls)[:, s] for s, outcome in enumerate(cell[:2]))
             agrees = agreement(margins > 0, cell) >= statics.min_agreement
             return np.asarray(observed & counterfactual & agrees[:, None])
 
         first = [fits(cell) for cell in TOWER_CELLS]
-        second = [fits(cell.opposite) for cell in TOWER_CELLS]
+        second = [fits(cell.twin) for cell in TOWER_CELLS]
         return np.stack(first, axis=1).astype(np.float32), np.stack(second, axis=1).astype(np.float32)

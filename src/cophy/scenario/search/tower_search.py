@@ -59,7 +59,7 @@ class TowerSearch:
         slots: tuple[int, ...],
         rng: np.random.Generator,
     ) -> Iterator[tuple[Scene, DoOperation]]:
-        """Scenes and do-operations that by statics fill the cell for the first twin and the opposite cell for the second.
+        """Scenes and do-operations that by statics fill the cell for the first twin and the twin's cell for the second.
 
         Args:
             twins: confounders of the first and of the second twin.
@@ -74,7 +74,7 @@ class TowerSearch:
         loads = Combinations(np.array([c.mass for c in twins]), gravity_xy / -self.statics.gravity_z)
 
         def fills_cells(towers: Towers, sequence: int) -> np.ndarray:
-            signs = np.where([cell[sequence], cell.opposite[sequence]], 1.0, -1.0)
+            signs = np.where([cell[sequence], cell.twin[sequence]], 1.0, -1.0)
             return np.asarray((self.statics.margins(*towers, loads) * signs >= self.min_margin).all(axis=1))
 
         for _ in range(MAX_BATCHES_PER_CONFIGURATION):

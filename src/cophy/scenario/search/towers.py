@@ -54,24 +54,38 @@ def tower_of(scene: Scene) -> Towers:
 
 
 class TowerCell(NamedTuple):
-    """Whether the tower of AB stands, and that of CD."""
+    """Whether the tower of AB stands, that of CD, and that of the twin's AB. The twin's CD has the opposite outcome."""
 
     observed: bool
     counterfactual: bool
+    twin_observed: bool
 
     @property
-    def opposite(self) -> "TowerCell":
-        """The cell of the twin: it has the opposite outcome in both sequences."""
-        return TowerCell(not self.observed, not self.counterfactual)
+    def twin(self) -> "TowerCell":
+        """The cell of the twin."""
+        return TowerCell(self.twin_observed, not self.counterfactual, self.observed)
 
     @property
     def name(self) -> str:
-        """For example stands_falls."""
-        return "_".join("stands" if stands else "falls" for stands in self)
+        """For example stands_falls: A stands and C falls. Where A falls under the twin's confounders too, both_fall_falls."""
+        observed, counterfactual = ("stands" if stands else "falls" for stands in self[:2])
+        both_fall = not (self.observed or self.twin_observed)
+        return f"{'both_fall' if both_fall else observed}_{counterfactual}"
 
 
-# of the first twin; the second has the opposite cell
-TOWER_CELLS = (TowerCell(True, True), TowerCell(False, False), TowerCell(True, False), TowerCell(False, True))
+TOWER_CELLS = (
+    TowerCell(True, True, twin_observed=False),
+    TowerCell(False, False, twin_observed=True),
+    TowerCell(True, False, twin_observed=False),
+    TowerCell(False, True, twin_observed=True),
+    TowerCell(False, True, twin_observed=False),
+    TowerCell(False, False, twin_observed=False),
+)
+
+# Blocks of pairs (see `assign`), as indices into TOWER_CELLS of the first twins. In eight blocks of ten A falls under both
+# twins, so that only how it falls tells the confounders. In each block both configurations meet both outcomes of C.
+_SAME, _OPPOSITE, _BOTH_FALL = (0, 1), (2, 3), (4, 5)
+TOWER_BLOCKS = (*[_BOTH_FALL] * 4, _SAME, *[_BOTH_FALL] * 4, _OPPOSITE)
 
 
 def agreement(stands: np.ndarray, cell: TowerCell) -> np.ndarray:
@@ -82,8 +96,11 @@ def agreement(stands: np.ndarray, cell: TowerCell) -> np.ndarray:
         cell: of either twin.
 
     Returns:
-        (geometry,) of the combinations under which A stands, the share under which C does as it does for the twin whose A stands.
+        (geometry,) of the combinations under which A stands, the share under which C does as it does for the twin whose A
+        stands. It is 1 where A falls under both twins: then how A falls is to tell.
     """
+    if cell.observed == cell.twin_observed:
+        return np.ones(len(stands))
     observed, counterfactual = stands[:, 0], stands[:, 1]
     share = (observed & counterfactual).sum(axis=1) / observed.sum(axis=1)
     return np.asarray(share if cell.observed == cell.counterfactual else 1 - share)

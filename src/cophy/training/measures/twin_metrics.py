@@ -59,7 +59,7 @@ def twin_difference(prediction: Prediction, targets: Targets, dims: int) -> Twin
         torch.where(counted, position - position[twin], 0.0)[..., :dims].double()
         for position in (targets.position, prediction.position)
     )
-    return TwinDifference(_squared(predicted - true), _squared(true))
+    return TwinDifference(_squared(predicted - true) - _by_chance(prediction, targets, dims), _squared(true))
 
 
 def right_twin_chosen(prediction: Prediction, targets: Targets, dims: int) -> Float[Tensor, "batch"]:
@@ -117,6 +117,17 @@ def twin_collection(dims: int, prefix: str) -> MetricCollection:
         "right_twin_chosen": chosen,
     }
     return MetricCollection(metrics, compute_groups=False, prefix=prefix)
+
+
+def _by_chance(prediction: Prediction, targets: Targets, dims: int) -> Float[Tensor, "batch"]:
+    """How much of |ΔP - ΔD|² the draws of two means are expected to add; nothing where both are the mean of the same draws."""
+    twin, counted = twin_of(targets.pair), targets.presence[:, None, :, None]
+    if prediction.draw_variance is None:
+        return torch.zeros(len(twin), dtype=torch.float64, device=twin.device)
+    variance = prediction.draw_variance + prediction.draw_variance[twin]
+    added = torch.where(counted, variance, 0.0)[..., :dims].double().sum(dim=(1, 2, 3))
+    same = (prediction.position == prediction.position[twin]).flatten(1).all(dim=1)
+    return torch.where(same, 0.0, added)
 
 
 def _squared(difference: Float[Tensor, "batch steps slots dims"]) -> Float[Tensor, "batch"]:

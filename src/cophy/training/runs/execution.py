@@ -25,7 +25,7 @@ class Plan:
     """How a run is trained.
 
     Attributes:
-        trainer: Arguments of `lightning.Trainer`.
+        trainer: Arguments of `lightning.Trainer`; max_epochs are those of this run.
         seed: Of the training.
         threads: Of torch.
         reuse: Whether a finished training that was the same is adopted.
@@ -75,6 +75,7 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
         "derenderer": stage.derenderer,
         "num_train": len(stage.data.train),
         "num_test": len(stage.data.test),
+        "max_epochs": plan.trainer["max_epochs"],
         "training_seconds": training_seconds,
     }
     measured = stage.measure()

@@ -26,9 +26,10 @@ def carry_out_oracle(
     Args:
         run: Its names and place.
         data: Set up; true positions.
-        oracle: "feedforward": the mean of D over what could be, given A, C and the do-operation. No predictor without
-            AB beats it in expectation, up to the sampling error of its draws. "counterfactual": given AB too.
-        settings: How many draws of confounders, and how far AB may be off.
+        oracle: One of ORACLES. "feedforward": the mean of D over what could be, given A, C and the do-operation. No
+            predictor without AB beats it in expectation. "initial_velocity": given that of A, too. "confounders": given
+            these instead. "counterfactual": given AB instead.
+        settings: What the oracles are asked with.
         started: `time.monotonic()` when the run began.
 
     Returns:
@@ -58,12 +59,14 @@ def forecast(data: CounterfactualDataModule, oracle: str, settings: OracleSettin
 
     Args:
         data: Set up.
-        oracle: "feedforward" or "counterfactual".
-        settings: How many draws of confounders, and how far AB may be off.
+        oracle: One of ORACLES.
+        settings: What the oracles are asked with.
     """
     forecasts = data.test_set.forecasts(settings)
     generation.ensure(forecasts, workers=data.workers)
     stored = forecasts.load()
     chosen = np.searchsorted(stored["experiment"], data.test_experiments)
-    position, stable = (torch.from_numpy(stored[f"{oracle}_{what}"][chosen]) for what in ("position", "stable"))
-    return Prediction(position, torch.logit(stable, eps=MIN_PROBABILITY))
+    position, stable, by_chance = (
+        torch.from_numpy(stored[f"{oracle}_{what}"][chosen]) for what in ("position", "stable", "draw_variance")
+    )
+    return Prediction(position, torch.logit(stable, eps=MIN_PROBABILITY), draw_variance=by_chance)

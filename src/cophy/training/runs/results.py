@@ -88,17 +88,23 @@ def write_predictions(directory: Path, prediction: Prediction, targets: Targets)
         "position": prediction.position.numpy(),
         "pair": targets.pair.numpy(),
     }
+    if prediction.draw_variance is not None:
+        arrays["draw_variance"] = prediction.draw_variance.numpy()
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     write_atomically(directory / PREDICTIONS, file.getvalue())
 
 
 def read_predictions(directory: Path) -> dict[str, np.ndarray]:
-    """What a run predicted on its test split, beside the truth; a damaged file is an error that names it."""
+    """What a run predicted on its test split, beside the truth; a damaged file is an error that names it.
+
+    An oracle's also has `draw_variance`, see `Prediction`.
+    """
     path = directory / PREDICTIONS
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return {name: file[name] for name in ("initial", "presence", "target", "position", "pair")}
+            optional = [name for name in ("draw_variance",) if name in file]
+            return {name: file[name] for name in ("initial", "presence", "target", "position", "pair", *optional)}
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise CophyError(f"{path} is missing or damaged ({error}): make that run again") from error
 

@@ -9,7 +9,6 @@ from torch import nn
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.feed.frame_datamodule import FrameDataModule
 from cophy.models.derenderer import Derenderer
-from cophy.training.augmentation import symmetries_for
 from cophy.training.callbacks import NUM_SHOWN, DerenderingFigures, PredictionFigures
 from cophy.training.derendering_module import DerenderingModule
 from cophy.training.measures.evaluation import evaluate
@@ -31,6 +30,7 @@ class Stage:
         figures: Callback that draws validation examples.
         measure: After a test: writes what was predicted, and measures it.
         derenderer: Name of the one whose estimates are seen, or None.
+        epochs_factor: How many times as many epochs it is trained as `trainer.max_epochs` says.
     """
 
     data: CounterfactualDataModule | FrameDataModule
@@ -38,6 +38,7 @@ class Stage:
     figures: L.Callback
     measure: Callable[[], Measured]
     derenderer: str | None = None
+    epochs_factor: int = 1
 
     @property
     def learns(self) -> bool:
@@ -75,8 +76,7 @@ def prediction_stage(
         figures_every_n_epochs: How often figures are drawn.
     """
     scenario = data.scenario
-    turns = symmetries_for(data.split.train, scenario)
-    symmetries = turns if training.augmentation else turns[:1]
+    symmetries = scenario.symmetries() if training.augmentation else scenario.symmetries()[:1]
     module = PredictionModule(network, training, scenario, symmetries=symmetries, missed_position=data.mean_position)
 
     def measure() -> Measured:
@@ -91,4 +91,5 @@ def prediction_stage(
         return Measured(values, batch.targets.pair.numpy())
 
     figures = PredictionFigures(take(data.val.batch, slice(NUM_SHOWN)), scenario, figures_every_n_epochs)
-    return Stage(data, module, figures, measure, data.derenderer.name if data.derenderer else None)
+    derenderer = data.derenderer.name if data.derenderer else None
+    return Stage(data, module, figures, measure, derenderer, data.split.epochs_factor)

@@ -21,6 +21,11 @@ def tensorboard(run: Run) -> TensorBoardLogger:
     return TensorBoardLogger(run.directory, name="tensorboard", version="", default_hp_metric=False)
 
 
+def with_epochs(arguments: dict[str, Any], factor: int) -> dict[str, Any]:
+    """The arguments, with so many times as many epochs; no limit stays none."""
+    return arguments | {"max_epochs": max(factor * arguments["max_epochs"], -1)}
+
+
 def make_trainer(run: Run, origin: Origin, figures: L.Callback, arguments: dict[str, Any]) -> L.Trainer:
     """A Trainer that keeps the checkpoint with the smallest validation MSE, and the last one.
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.training.trained.checkpoints import read_bytes, read_checkpoint
@@ -31,8 +32,11 @@ class TrainedPredictor:
             raise CophyError(
                 f"predictor={source} is a checkpoint of {target}: only predictors of cophy.models are loaded"
             )
-        if model.get("confounders") == "ground_truth":
+        declared = DeclaredInputs.of(model)
+        if declared.confounders:
             raise CophyError(f"predictor={source} wants the true confounders, which no picture shows")
+        if declared.not_derendered:
+            raise CophyError(f"predictor={source} has {declared.not_derendered}, which no de-renderer estimates")
         self.scenario = _scenario(checkpoint.origin.scenario, scenarios, source)
         self.network = build_network(model).eval()
         try:

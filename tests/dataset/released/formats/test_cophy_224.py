@@ -5,6 +5,7 @@ import pytest
 
 from cophy.errors import CophyError
 from cophy.scenario import Shape
+from tests.conftest import settings
 from tests.dataset.released.indexing import LISTS, load
 from tests.dataset.released.trees import BALL_COLORS, TOWER_COLORS, CoPhyTree
 
@@ -67,6 +68,14 @@ def test_unseen_splits_are_the_lists_called_generalization(towers: CoPhyTree) ->
     arrays = load("cophy", "blocktower", towers.root, split="3to3_unseen")
     assert dict(zip(arrays["experiment"].tolist(), arrays["split"].tolist(), strict=True)) == {0: 2, 1: 1, 3: 0}
     assert arrays["seen"].tolist() == [False, True, True]
+
+
+def test_splits_that_nobody_released_are_refused(towers: CoPhyTree) -> None:
+    with pytest.raises(CophyError, match=r"split=3to3_seen: CoPhy_224 has no test list of seen"):
+        load("cophy", "blocktower", towers.root, split="3to3_seen")
+    refused = settings("train", "source=cophy", "split=3to3_seen")
+    with pytest.raises(CophyError, match="3to3_seen does not go with blocktower: use 3to3, 3to3_unseen, 3to4, 4to4, 4"):
+        refused.split.check_scenario(refused.scenario)
 
 
 def test_what_the_tower_generator_leaves_out_is_unknown(tree: CoPhyTree, caplog: pytest.LogCaptureFixture) -> None:

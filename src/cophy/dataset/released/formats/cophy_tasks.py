@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cophy.dataset.splits import Split
+from cophy.errors import CophyError
 from cophy.scenario import Shape
 
 
@@ -50,7 +51,13 @@ class CoPhyTask:
 
 
 def kind_of(split: Split) -> str:
-    """Which of the released lists a split is: moving_sphere are those that are trained on moving spheres."""
+    """Which of the released lists a split is: moving_sphere are those that are trained on moving spheres.
+
+    Raises:
+        CophyError: it is none of them.
+    """
+    if split.test.configurations == "seen":
+        raise CophyError(f"split={split.name}: CoPhy_224 has no test list of seen confounder configurations")
     if split.train.configurations is not None:
         return "generalization"
     return f"moving_{split.train.moving}" if split.train.moving else "normal"

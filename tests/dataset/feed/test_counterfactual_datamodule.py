@@ -1,0 +1,45 @@
+"""Experiments as predictors are fed them."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from cophy.app.composition import settings
+from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.dataset.feed.declared_inputs import DeclaredInputs
+from cophy.dataset.store.states import States
+from cophy.types import CONFOUNDERS
+from tests.conftest import tiny_spec
+
+OPTIONAL = ("confounders", "object_type", "pose")
+
+
+def fed(data_dir: Path, declared: DeclaredInputs | None) -> CounterfactualDataModule:
+    states = States(tiny_spec("collision"), data_dir)
+    split = settings("train", "scenario=collision").split
+    data = CounterfactualDataModule(
+        split, train_set=states, test_set=states, batch_size=8, workers=1, declared=declared
+    )
+    data.setup()
+    return data
+
+
+@pytest.mark.parametrize("name", [None, *OPTIONAL])
+def test_a_network_is_given_what_its_configuration_declares_and_nothing_else(name: str | None, tiny_data: Path) -> None:
+    """The true confounders above all: elsewhere they are not in what it gets."""
+    data = fed(tiny_data, None if name is None else DeclaredInputs(**{name: True}))
+    for loader in (data.train_dataloader(), data.val_dataloader(), data.test_dataloader()):
+        for batch in loader:
+            assert [each for each in OPTIONAL if getattr(batch.inputs, each) is not None] == ([name] if name else [])
+
+
+def test_looks_are_those_of_the_experiment_that_they_come_with(tiny_data: Path) -> None:
+    """Types, poses and the confounders agree about which objects are cylinders."""
+    data = fed(tiny_data, DeclaredInputs(confounders=True, object_type=True, pose=True))
+    inputs = data.train.batch.inputs
+    assert (inputs.object_type.sum(dim=-1) == inputs.observed_presence).all()
+    cylinder = inputs.object_type[..., 2] == 1
+    assert (inputs.pose.any(dim=-1) == cylinder).all()
+    confounder = inputs.confounders[..., CONFOUNDERS.index("cylinder")]  # standardised
+    assert torch.equal(confounder > 0, cylinder)

@@ -1,0 +1,84 @@
+"""Forecasts of the oracles, beside tiny data."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cophy.dataset import generation
+from cophy.dataset.feed.batches import to_batch
+from cophy.dataset.store.experiment_set import ORACLES, OracleSettings
+from cophy.dataset.store.forecasts import OracleForecasts
+from cophy.dataset.store.states import States
+from cophy.errors import CophyError
+from tests.conftest import SCENARIOS, tiny_spec
+
+ASKED = OracleSettings(draws=4, max_configurations=16, noise=0.05)
+
+
+@pytest.fixture(scope="module")
+def forecasts(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, OracleForecasts]:
+    """Of the test experiments of every scenario, beside a copy of its tiny dataset."""
+    directory, found = tmp_path_factory.mktemp("forecasts"), {}
+    shutil.copytree(tiny_data, directory, dirs_exist_ok=True)
+    for name in SCENARIOS:
+        found[name] = States(tiny_spec(name), directory).forecasts(ASKED)
+        generation.ensure(found[name], workers=1)
+    return found
+
+
+def test_every_oracle_says_something_of_every_test_experiment(forecasts) -> None:
+    for each in forecasts.values():
+        stored, arrays = each.load(), each.states.load()
+        assert stored["experiment"].tolist() == np.flatnonzero(arrays["split"] == 2).tolist()
+        present = arrays["presence"][stored["experiment"], 1]
+        for oracle in ORACLES:
+            position, variance = stored[f"{oracle}_position"], stored[f"{oracle}_draw_variance"]
+            assert (np.abs(position).max(axis=(1, 3))[present] > 0).all()
+            assert (variance >= 0).all()
+            assert ((stored[f"{oracle}_stable"] >= 0) & (stored[f"{oracle}_stable"] <= 1)).all()
+
+
+def test_twins_share_what_does_not_depend_on_their_confounders(forecasts) -> None:
+    for each in forecasts.values():
+        stored = each.load()
+        for oracle in ("feedforward", "initial_velocity"):
+            assert np.array_equal(stored[f"{oracle}_position"][::2], stored[f"{oracle}_position"][1::2])
+            assert (stored[f"{oracle}_draw_variance"] > 0).any()
+        for oracle in ("confounders", "counterfactual"):
+            assert not np.array_equal(stored[f"{oracle}_position"][::2], stored[f"{oracle}_position"][1::2])
+
+
+def test_towers_start_at_rest_so_that_their_confounders_tell_everything(forecasts) -> None:
+    stored, arrays = forecasts["blocktower"].load(), forecasts["blocktower"].states.load()
+    assert np.array_equal(stored["initial_velocity_position"], stored["feedforward_position"])
+    assert (stored["confounders_draw_variance"] == 0).all()
+    truth = to_batch(arrays, forecasts["blocktower"].spec.scenario).targets.position.numpy()[stored["experiment"]]
+    np.testing.assert_array_equal(stored["confounders_position"], truth)  # the simulator itself
+    balls = forecasts["balls"].load()
+    assert not np.array_equal(balls["initial_velocity_position"], balls["feedforward_position"])
+    assert (balls["confounders_draw_variance"] > 0).any()
+
+
+def test_forecasts_are_the_same_when_they_are_made_again(forecasts) -> None:
+    each = forecasts["collision"]
+    shard = next(shard for shard in range(each.spec.num_shards) if len(each.read(shard)["experiment"]))
+    before = each.path(shard).read_bytes()
+    each.path(shard).unlink()
+    generation.ensure(each, workers=1)
+    assert each.path(shard).read_bytes() == before
+
+
+def test_data_that_come_out_otherwise_are_refused(forecasts, tmp_path: Path, monkeypatch) -> None:
+    each = forecasts["collision"]
+    scenario = type(each.spec.scenario)
+    made = scenario.twin_pair
+    monkeypatch.setattr(
+        scenario, "twin_pair", lambda self, n, *, data_seed, pair, simulator: made(
+            self, n, data_seed=data_seed + 1, pair=pair, simulator=simulator
+        )
+    )  # fmt: skip
+    shard = next(shard for shard in range(each.spec.num_shards) if len(each.read(shard)["experiment"]))
+    with pytest.raises(CophyError, match="was made by other code"):
+        each.write(tmp_path / "shard.h5", shard, lambda count: None)

@@ -1,0 +1,21 @@
+import numpy as np
+
+from cophy.scenario.physics.remembering_simulator import RememberingSimulator
+
+
+def test_a_scene_is_simulated_once_until_it_is_forgotten(scenario_of) -> None:
+    scenario = scenario_of("collision")
+    scene = scenario.under(0, scenario.sample_scene(0, (0, 1), np.random.default_rng(0)))
+    with RememberingSimulator() as simulator:
+        first = scenario.simulate(simulator, scene)
+        assert scenario.simulate(simulator, scenario.under(0, scene.with_velocities(_velocities(scene)))) is first
+        assert scenario.simulate(simulator, scenario.under(1, scene)) is not first
+        assert simulator.num_simulations == 2
+        simulator.forget()
+        again = scenario.simulate(simulator, scene)
+        assert simulator.num_simulations == 3
+        assert np.array_equal(again.states, first.states)
+
+
+def _velocities(scene) -> np.ndarray:
+    return np.array([body.linear_velocity[:2] for body in scene.objects])
