@@ -119,7 +119,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     ("name", "split"),
     [
         ("blocktower", "3to4"),
-        ("blocktower", "4to4_unseen"),
+        ("blocktower", "3to3_seen"),
         ("balls", "4to2"),
         ("balls", "4to6"),
         ("collision", "sphere_to_cylinder"),

@@ -11,7 +11,7 @@ symmetry: rotations and reflections that leave a scenario as it is.
 physics/: rigid bodies and their simulation.
 search/: how twins are found.
 rendering/: from states to pictures.
-oracles/: what only the two oracles need.
+oracles/: what only the oracles need.
 """
 
 from cophy.scenario.balls import Balls

@@ -8,5 +8,5 @@ experiment_arrays: which arrays a shard of states has, of which shape and type.
 states: `States`, the simulated experiments of a generated dataset.
 images: `Images`, rendered pictures of generated experiments.
 estimates: `Estimates`, what a trained de-renderer sees in every frame.
-forecasts: `OracleForecasts`, what the two oracles say of the test experiments.
+forecasts: `OracleForecasts`, what the oracles say of the test experiments.
 """

@@ -57,7 +57,7 @@ class FilledTable:
 
     def _text(self, value: dict[Any, Any], bold: tuple[str, str]) -> str:
         def number(x: float) -> str:
-            return f"{x:.{self.table.digits}f}"
+            return f"{round(x, self.table.digits) + 0.0:.{self.table.digits}f}"  # no -0.000
 
         paper = MISSING if pd.isna(value["paper"]) else number(value["paper"])
         if not value["seeds"]:
