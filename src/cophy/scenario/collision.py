@@ -83,7 +83,7 @@ class Collision(SimulatedSearch):
             offset = np.zeros(2)
             offset[rng.integers(2)] = rng.uniform(self.displacement[0], self.displacement[1]) * rng.choice([-1.0, 1.0])
             between = np.array(body.position[:2]) + offset - other.position[:2]
-            # furthest reaches a corner of a lying cylinder's square outline: half a diagonal
+            # a lying cylinder is square from above: its corners reach half a diagonal, more than any other outline
             if np.linalg.norm(between) >= (1 + np.sqrt(2)) / 2 * self.object_size + self.min_gap:
                 return Displace(kind, body.slot, (float(offset[0]), float(offset[1]), 0.0))
 

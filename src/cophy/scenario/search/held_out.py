@@ -41,7 +41,8 @@ def problems(mass: np.ndarray, gravity_xy: np.ndarray, symmetries: np.ndarray) -
         symmetries: (symmetry, 2, 2) matrices on gravity.
 
     Returns:
-        (combination, object + 2): masses relative to the largest; of gravity as every symmetry turns it, the last in order.
+        (combination, object + 2): masses relative to the largest, then gravity: of all that the symmetries make of it, the last
+        in sorted order.
     """
     turned = np.einsum("sij,cj->csi", symmetries, gravity_xy)
     last = np.lexsort((turned[..., 1], turned[..., 0]), axis=1)[:, -1]

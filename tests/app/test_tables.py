@@ -1,0 +1,57 @@
+"""conf/table/: the sweep of a table runs what the table shows."""
+
+import itertools
+from functools import cache
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from cophy.app.composition import CONF
+from cophy.dataset.store.experiment_set import ORACLES
+from cophy.report.tables.paper_tables import PaperTable, paper_tables
+from tests.conftest import ROOT
+
+
+@cache
+def choices_of(row: str) -> tuple[str, str]:
+    """Model and ablation that a row chooses."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        choices = compose("train", [f"+row={row}"], return_hydra_config=True).hydra.runtime.choices
+    return choices["model"], choices["ablation"]
+
+
+@pytest.mark.parametrize("table", paper_tables(), ids=lambda table: table.id)
+def test_the_sweep_of_a_table_runs_what_its_cells_show(table: PaperTable) -> None:
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("train", [f"+table={table.id}"], return_hydra_config=True)
+    params = {key: str(value).split(",") for key, value in cfg.hydra.sweeper.params.items()}
+    assert params.keys() <= {"scenario", "split", "model", "+row", "positions"}
+    methods = [choices_of(row) for row in params["+row"]] if "+row" in params else [(params["model"][0], "full")]
+    positions = params.get("positions", [cfg.positions])
+    product = itertools.product(params["scenario"], params["split"], methods, positions)
+    swept = {(scenario, split, *method, seen) for scenario, split, method, seen in product}
+    cells = [
+        {"positions": "ground_truth", **table.select, **row, **column}
+        for row, column in itertools.product([*table.rows.values(), *table.controls.values()], table.columns.values())
+    ]
+    names = ("scenario", "split", "model", "ablation", "positions")
+    shown = {tuple(cell[name] for name in names) for cell in cells}
+    assert shown <= swept
+    assert {model for _, _, model, _, _ in swept - shown} <= {"copy_c", "copy_b"}  # what costs no training
+
+
+def test_every_table_has_a_sweep() -> None:
+    assert {path.stem for path in (ROOT / "conf" / "table").iterdir()} == {table.id for table in paper_tables()}
+
+
+@pytest.mark.parametrize("scenario", ["blocktower", "balls", "collision"])
+def test_every_split_of_a_table_is_tested_by_every_oracle(scenario: str) -> None:
+    """So that no column of oracles stays empty."""
+    table = next(table for table in paper_tables() if table.id == scenario)
+    tested = {row["split"] for row in table.rows.values()}
+    oracles = {column["model"] for label, column in table.columns.items() if label in table.oracles}
+    assert oracles == {f"oracle_{oracle}" for oracle in ORACLES}
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        params = compose("train", [f"+table={scenario}"], return_hydra_config=True).hydra.sweeper.params
+    assert tested <= set(params["split"].split(","))
+    assert oracles <= set(params["+row"].split(","))
