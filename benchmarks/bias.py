@@ -16,7 +16,7 @@ from rich.table import Table
 from cophy.app.registration import register
 from cophy.dataset.audit.bias.classifiers import ask_classifier
 from cophy.dataset.audit.bias.visible_features import initial_scene
-from cophy.dataset.audit.tower_outcomes import stand_on_paper
+from cophy.dataset.audit.tower_outcomes import falls_from_on_paper
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.store.states import States
 from cophy.scenario import Scenario
@@ -59,7 +59,7 @@ def planted(arrays: dict[str, np.ndarray], scenario: Scenario) -> Iterator[Plant
     """Outcomes that statics say of the geometries C."""
     statics, rng = scenario.statics, np.random.default_rng(0)
     assert statics is not None
-    stands = stand_on_paper(arrays, statics, 1)
+    _, stands = falls_from_on_paper(arrays, statics, 1)
     mass, gravity_xy = scenario.confounders.masses_and_gravities(NUM_OBJECTS)
     plain = stands[:, (np.ptp(mass, axis=1) == 0) & (gravity_xy == 0).all(axis=1)][:, 0]
     share, every = stands.mean(axis=1), np.arange(len(stands))

@@ -7,7 +7,7 @@ import numpy as np
 
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.stored_towers import stored_towers
-from cophy.scenario.physics.statics import tower_margins
+from cophy.scenario.physics.statics import joint_margins
 
 
 def difficulty(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> dict[str, np.ndarray]:
@@ -57,7 +57,7 @@ def twin_differences(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def true_margins(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> np.ndarray:
-    """(experiment, 2) margin (see `tower_margins`) of A and of C under the true confounders, metres; positive: it stands."""
+    """(experiment, 2) margin (see `TowerStatics.margins`) of A and of C under the true confounders, metres; positive: it stands."""
     xy, yaw, num_levels, mass, tilt = stored_towers(arrays, spec.num_objects)
     margins = np.empty(num_levels.shape)
     for sequence in (0, 1):
@@ -65,6 +65,6 @@ def true_margins(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> np.ndarray
             rows = np.flatnonzero(num_levels[:, sequence] == k)
             under, own = np.unique(np.hstack([mass[rows, :k], tilt[rows]]), axis=0, return_inverse=True)
             blocks = xy[rows, sequence, :k], yaw[rows, sequence, :k]
-            of_all = tower_margins(*blocks, under[:, :k], under[:, k:], size_m=spec.scenario.object_size_m)
+            of_all = joint_margins(*blocks, under[:, :k], under[:, k:], size_m=spec.scenario.object_size_m).min(axis=-1)
             margins[rows, sequence] = of_all[np.arange(len(rows)), own]
     return margins

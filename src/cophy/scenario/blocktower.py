@@ -29,7 +29,6 @@ class Blocktower(Scenario):
     displacement: list[float]  # smallest and largest
     min_margin: float  # both twins' towers are this far from toppling, or from standing
     stable_fraction: list[float]  # share of all configurations under which A, and C, must stand: smallest, largest
-    min_agreement: float  # share of the configurations under which A stands that must give the standing twin's CD
     fallen_distance: float  # a tower has fallen once a block is this far from where it started
 
     @classmethod
@@ -67,7 +66,6 @@ class Blocktower(Scenario):
             gravity_z=self.gravity_z,
             grid=self.confounders,
             fallen_distance=self.fallen_distance,
-            min_agreement=self.min_agreement,
         )
 
     @property

@@ -37,3 +37,15 @@ def test_twins_that_fall_alike_are_caught(tiny) -> None:
     assert "twins have opposite outcomes of CD" in failing(
         towers(arrays | {"states": changed}, spec, spec.scenario.statics)
     )
+
+
+def test_an_a_that_leaves_open_whether_c_stands_is_caught(tiny) -> None:
+    """A straightened tower stands under all confounders, so that it tells nothing of them."""
+    spec, arrays = tiny
+    if spec.scenario.name != "blocktower":
+        pytest.skip("towers only")
+    changed = arrays["states"].copy()
+    changed[:, 0, :, :, :2] = 0.0
+    assert "on paper AB tells whether C stands" in failing(
+        towers(arrays | {"states": changed}, spec, spec.scenario.statics)
+    )

@@ -6,13 +6,13 @@ import pytest
 from cophy.scenario import Blocktower, Simulator
 from cophy.scenario.confounders import Confounders
 from cophy.scenario.experiment import with_confounders
-from cophy.scenario.physics.statics import Combinations, tower_margins
+from cophy.scenario.physics.statics import Combinations, joint_margins
 
 LEVEL = np.zeros((1, 2))
 
 
 def margin(xy: list[list[float]], yaw: list[float], mass: list[float], tilt: tuple[float, float] = (0.0, 0.0)) -> float:
-    return float(tower_margins(np.array([xy]), np.array([yaw]), np.array([mass]), np.array([tilt]))[0, 0])
+    return float(joint_margins(np.array([xy]), np.array([yaw]), np.array([mass]), np.array([tilt])).min())
 
 
 def test_a_straight_tower_stands_by_half_a_block() -> None:
@@ -53,8 +53,23 @@ def test_a_tower_without_its_top_has_the_masses_of_what_is_left(scenario_of) -> 
     assert every.mass.shape == (72, 3)
     assert sorted(set(every.tilt.ravel().round(6).tolist())) == [-0.1, 0.0, 0.1]
     left = statics.margins(np.array([[[0.0, 0.0], [0.3, 0.0]]]), np.zeros((1, 2)), every)
-    by_hand = tower_margins(np.array([[[0.0, 0.0], [0.3, 0.0]]]), np.zeros((1, 2)), every.mass[:, :2], every.tilt)
-    np.testing.assert_array_equal(left, by_hand)
+    by_hand = joint_margins(np.array([[[0.0, 0.0], [0.3, 0.0]]]), np.zeros((1, 2)), every.mass[:, :2], every.tilt)
+    np.testing.assert_array_equal(left, by_hand.min(axis=-1))
+
+
+def test_a_tower_falls_from_its_lowest_joint_that_gives_way(scenario_of) -> None:
+    statics = scenario_of("blocktower").statics
+    upright = Combinations(np.ones((1, 3)), LEVEL)
+    xy = np.array(
+        [
+            [[0, 0], [0, 0], [0, 0]],
+            [[0, 0], [0, 0], [0.6, 0]],
+            [[0, 0], [0.4, 0], [0.9, 0]],
+            [[0, 0], [0.3, 0], [0.9, 0]],
+        ]
+    )
+    assert statics.falls_from(xy, np.zeros((4, 3)), upright)[:, 0].tolist() == [3, 2, 1, 1]
+    assert (statics.margins(xy, np.zeros((4, 3)), upright) > 0)[:, 0].tolist() == [True, False, False, False]
 
 
 def agreement(blocktower: Blocktower, simulator: Simulator, *, towers: int, num_levels: int, seed: int) -> np.ndarray:

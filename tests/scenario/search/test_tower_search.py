@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from cophy.scenario import Blocktower, Scenario
-from cophy.scenario.search.towers import TOWER_CELLS, TowerCell, agreement, tower_of
+from cophy.scenario.physics.statics import Combinations
+from cophy.scenario.search.settled import settled
+from cophy.scenario.search.towers import TOWER_CELLS, TowerCell, tower_of
 
 KINDS = ["displace_x", "displace_y", "remove_top"]
 
@@ -21,11 +23,11 @@ def test_outcomes_of_proposals_are_open_and_true(kind: str, blocktower: Blocktow
     found = blocktower.tower_search.proposals(kind, 3, np.random.default_rng(0))
     smallest, largest = blocktower.stable_fraction
     assert len(found.level) > 100
-    for sequence, towers in enumerate(found.towers):
-        share = found.stands[:, sequence].mean(axis=1)
+    for stands, towers in zip((found.falls_from == 3, found.stands), found.towers, strict=True):
+        share = stands.mean(axis=1)
         assert ((share >= smallest) & (share <= largest)).all()
         margins = blocktower.statics.margins(*towers, blocktower.statics.combinations(3))
-        np.testing.assert_array_equal(margins > 0, found.stands[:, sequence])
+        np.testing.assert_array_equal(margins > 0, stands)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -59,7 +61,9 @@ def test_candidates_fill_the_cell_and_its_twin_on_paper(kind: str, cell: TowerCe
         )
         assert tuple(margins[:, own][:, 0] > 0) == expected[:2]
         assert (np.abs(margins[:, own]) >= blocktower.min_margin - 1e-9).all()
-    assert agreement((margins > 0)[None], cell)[0] >= blocktower.min_agreement
+    falls_from = statics.falls_from(*towers[0], every)
+    tells = settled(falls_from, margins[1:] > 0, every)[0]
+    assert all(tells[every.find(Combinations(np.array([own.mass]), np.array([own.gravity_xy]) / 10))] for own in twins)
     assert do_operation.kind == kind
 
 

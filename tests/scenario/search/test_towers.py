@@ -1,7 +1,6 @@
 import numpy as np
-import pytest
 
-from cophy.scenario.search.towers import TOWER_BLOCKS, TOWER_CELLS, TowerCell, Towers, agreement, tower_of
+from cophy.scenario.search.towers import TOWER_BLOCKS, TOWER_CELLS, TowerCell, Towers, tower_of
 
 LEANING = Towers(np.array([[[0.0, 0.0], [0.3, -0.1], [0.2, 0.4]]]), np.array([[0.1, 0.7, 1.2]]))
 
@@ -35,10 +34,3 @@ def test_a_falls_under_both_twins_in_four_fifths_of_the_pairs() -> None:
 def test_both_configurations_of_a_block_meet_both_outcomes_of_c() -> None:
     for first, second in TOWER_BLOCKS:
         assert TOWER_CELLS[second] == TOWER_CELLS[first].twin
-
-
-@pytest.mark.parametrize("cell", TOWER_CELLS[:4])
-def test_agreement_is_the_share_that_does_as_the_standing_twin_does(cell: TowerCell) -> None:
-    stands = np.array([[[True, True, True, True, False], [True, False, False, False, True]]])  # A; C
-    standing = cell if cell.observed else cell.twin
-    assert agreement(stands, cell).tolist() == [0.25 if standing.counterfactual else 0.75]

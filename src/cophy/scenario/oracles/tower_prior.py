@@ -10,7 +10,8 @@ that pair.
 import numpy as np
 
 from cophy.scenario.blocktower import Blocktower
-from cophy.scenario.search.towers import TOWER_CELLS, TowerCell, Towers, agreement
+from cophy.scenario.search.settled import settled
+from cophy.scenario.search.towers import TOWER_CELLS, TowerCell, Towers
 
 MIN_PROPOSALS = 20_000  # open geometries that the shares are estimated from
 
@@ -66,11 +67,12 @@ class TowerPrior:
         statics = self._search.statics
         margins = np.stack([statics.margins(*tower, self._combinations) for tower in towers], axis=1)
         stands, falls = margins >= self._search.min_margin, margins <= -self._search.min_margin
+        falls_from = statics.falls_from(*towers[0], self._combinations)
+        kept = settled(falls_from, margins[:, 1] > 0, self._combinations)
 
         def fits(cell: TowerCell) -> np.ndarray:
             observed, counterfactual = ((stands if outcome else falls)[:, s] for s, outcome in enumerate(cell[:2]))
-            agrees = agreement(margins > 0, cell) >= statics.min_agreement
-            return np.asarray(observed & counterfactual & agrees[:, None])
+            return np.asarray(observed & counterfactual & kept)
 
         first = [fits(cell) for cell in TOWER_CELLS]
         second = [fits(cell.twin) for cell in TOWER_CELLS]

@@ -23,6 +23,11 @@ class Combinations(NamedTuple):
     mass: np.ndarray
     tilt: np.ndarray
 
+    def find(self, wanted: "Combinations") -> np.ndarray:
+        """(wanted,) the index of each, or of the nearest."""
+        here, there = (np.hstack([each.mass, each.tilt]) for each in (self, wanted))
+        return np.asarray(np.abs(there[:, None] - here).sum(axis=-1).argmin(axis=1))
+
 
 @dataclass(frozen=True)
 class TowerStatics:
@@ -30,14 +35,12 @@ class TowerStatics:
 
     block_size: edge of a block, metres. gravity_z: m/s², negative. grid: the values of the confounders.
     fallen_distance: a tower has fallen once a block is this far from where it started, metres.
-    min_agreement: least share of the combinations under which A stands that must agree on whether C stands.
     """
 
     block_size: float
     gravity_z: float
     grid: ConfounderGrid
     fallen_distance: float
-    min_agreement: float
 
     def combinations(self, num_levels: int) -> Combinations:
         """Every combination of masses and gravity for so many blocks, in the order of the grid."""
@@ -53,10 +56,27 @@ class TowerStatics:
             combinations: may have more levels; of a tower that lost its top, the masses of what is left count.
 
         Returns:
-            (tower, combination) metres, see `tower_margins`.
+            (tower, combination) metres, the smallest of `joint_margins`.
         """
+        return np.asarray(self._joint_margins(xy, yaw, combinations).min(axis=-1))
+
+    def falls_from(self, xy: np.ndarray, yaw: np.ndarray, combinations: Combinations) -> np.ndarray:
+        """The lowest block that falls, with all above it, under each combination.
+
+        Args:
+            xy: (tower, level, 2) block centres, metres.
+            yaw: (tower, level) rad.
+            combinations: as of `margins`.
+
+        Returns:
+            (tower, combination) its level from the ground up; the number of levels where the tower stands.
+        """
+        falls = self._joint_margins(xy, yaw, combinations) <= 0
+        return np.asarray(np.where(falls.any(axis=-1), falls.argmax(axis=-1), xy.shape[1]))
+
+    def _joint_margins(self, xy: np.ndarray, yaw: np.ndarray, combinations: Combinations) -> np.ndarray:
         mass = combinations.mass[:, : xy.shape[1]]
-        return tower_margins(xy, yaw, mass, combinations.tilt, size_m=self.block_size)
+        return joint_margins(xy, yaw, mass, combinations.tilt, size_m=self.block_size)
 
     def stands(self, trajectory: Trajectory) -> bool:
         """Whether in a simulation no block ever left its place by more than `fallen_distance`."""
@@ -64,10 +84,10 @@ class TowerStatics:
         return bool(moved.max() < self.fallen_distance)
 
 
-def tower_margins(
+def joint_margins(
     xy: np.ndarray, yaw: np.ndarray, mass: np.ndarray, tilt: np.ndarray, *, size_m: float = 1.0
 ) -> np.ndarray:
-    """How far from toppling each tower is under each combination of masses and gravity.
+    """How far each tower is from toppling over each of its joints, under each combination of masses and gravity.
 
     Args:
         xy: (tower, level, 2) block centres, metres; levels from the ground up.
@@ -77,13 +97,13 @@ def tower_margins(
         size_m: edge of a block, metres.
 
     Returns:
-        (tower, combination) metres: the smallest distance, over levels, of the projected centre of mass to the edge of the
-        contact polygon. Positive where the tower stands; negative where it falls (there a bound on the distance).
+        (tower, combination, level) metres: the distance of the projected centre of mass, of a block and all above it, to the
+        edge of the contact polygon below it. A tower stands where all are positive; negative ones are a bound on the distance.
     """
     num_levels = xy.shape[1]
     height = (np.arange(num_levels) + 0.5) * size_m
     cos, sin = np.cos(yaw), np.sin(yaw)
-    margins = np.full((len(xy), len(mass)), np.inf)
+    margins = np.full((len(xy), len(mass), num_levels), np.inf)
     for level in range(num_levels):
         weight = mass[:, level:] / mass[:, level:].sum(axis=1, keepdims=True)
         centre = np.einsum("ck,nkd->ncd", weight, xy[:, level:])
@@ -92,5 +112,5 @@ def tower_margins(
             x, y = np.moveaxis(point - xy[:, face, None], -1, 0)
             along = np.abs(cos[:, face, None] * x + sin[:, face, None] * y)
             across = np.abs(cos[:, face, None] * y - sin[:, face, None] * x)
-            margins = np.minimum(margins, size_m / 2 - np.maximum(along, across))
+            margins[..., level] = np.minimum(margins[..., level], size_m / 2 - np.maximum(along, across))
     return margins

@@ -14,7 +14,8 @@ from cophy.scenario.confounders import Confounders
 from cophy.scenario.do_operations import Displace, DoOperation, Remove
 from cophy.scenario.physics.scene import Scene
 from cophy.scenario.physics.statics import Combinations, TowerStatics
-from cophy.scenario.search.towers import TowerCell, Towers, agreement
+from cophy.scenario.search.settled import settled
+from cophy.scenario.search.towers import TowerCell, Towers
 
 # how hard the search tries; other values find other experiments, so raise dataset.spec.FORMAT_VERSION with them
 NUM_TOWERS_PER_BATCH = 1024
@@ -28,11 +29,12 @@ Wanted = Callable[[Towers, int], np.ndarray]  # (towers, the sequence they are f
 class Proposals(NamedTuple):
     """Candidate towers.
 
-    towers: A and C. stands: (proposal, 2, combination) bool, of A and C under every combination of masses and gravity.
+    towers: A and C. falls_from: of A, stands: of C; (proposal, combination), under every combination of masses and gravity.
     level: (proposal,) of the block that the do-operation concerns. offset: (proposal, 2) by how much it is displaced, metres.
     """
 
     towers: tuple[Towers, Towers]
+    falls_from: np.ndarray
     stands: np.ndarray
     level: np.ndarray
     offset: np.ndarray
@@ -77,9 +79,12 @@ class TowerSearch:
             signs = np.where([cell[sequence], cell.twin[sequence]], 1.0, -1.0)
             return np.asarray((self.statics.margins(*towers, loads) * signs >= self.min_margin).all(axis=1))
 
+        every = self.statics.combinations(len(slots))
+        own = every.find(loads)
         for _ in range(MAX_BATCHES_PER_CONFIGURATION):
             found = self.proposals(kind, len(slots), rng, fills_cells)
-            for index in np.flatnonzero(agreement(found.stands, cell) >= self.statics.min_agreement).tolist():
+            kept = settled(found.falls_from, found.stands, every)[:, own].all(axis=1)
+            for index in np.flatnonzero(kept).tolist():
                 scene = self.scene(found.towers[OBSERVED], index, slots)
                 x, y = found.offset[index].tolist()
                 slot = slots[found.level[index]]
@@ -101,15 +106,16 @@ class TowerSearch:
         """
         order = (COUNTERFACTUAL, OBSERVED) if kind == "remove_top" else (OBSERVED, COUNTERFACTUAL)
         drawn = self.random_towers(num_levels - (kind == "remove_top"), rng)
-        kept, drawn_stands = self._open(drawn, wanted(drawn, order[0]), num_levels)
+        kept, drawn_falls = self._open(drawn, wanted(drawn, order[0]), num_levels)
         drawn = drawn.take(kept)
         source = np.repeat(np.arange(len(kept)), NUM_VARIANTS_PER_TOWER)
         varied, level, offset = self._variants(drawn.take(source), kind, rng)
-        kept, varied_stands = self._open(varied, wanted(varied, order[1]), num_levels)
+        kept, varied_falls = self._open(varied, wanted(varied, order[1]), num_levels)
         towers = drawn.take(source[kept]), varied.take(kept)
-        stands = drawn_stands[source[kept]], varied_stands
+        falls_from = drawn_falls[source[kept]], varied_falls
         a, c = order.index(OBSERVED), order.index(COUNTERFACTUAL)
-        return Proposals((towers[a], towers[c]), np.stack([stands[a], stands[c]], axis=1), level[kept], offset[kept])
+        stands = falls_from[c] == towers[c].xy.shape[1]
+        return Proposals((towers[a], towers[c]), falls_from[a], stands, level[kept], offset[kept])
 
     def random_towers(self, num_levels: int, rng: np.random.Generator) -> Towers:
         """A batch of random towers, whether they stand or fall."""
@@ -144,13 +150,13 @@ class TowerSearch:
         return rng.uniform(-self.max_level_offset, self.max_level_offset, (*shape, 2))
 
     def _open(self, towers: Towers, wanted: np.ndarray, num_levels: int) -> tuple[np.ndarray, np.ndarray]:
-        """Which of the wanted towers stand under some combinations and fall under others: indices, and (tower, combination) bool."""
+        """Which of the wanted towers stand under some combinations and fall under others: indices, and their `falls_from`."""
         index = np.flatnonzero(wanted)
-        stands = self.statics.margins(*towers.take(index), self.statics.combinations(num_levels)) > 0
+        falls_from = self.statics.falls_from(*towers.take(index), self.statics.combinations(num_levels))
         smallest, largest = self.stable_fraction
-        share = stands.mean(axis=1)
+        share = (falls_from == towers.xy.shape[1]).mean(axis=1)
         is_open = (share >= smallest) & (share <= largest)
-        return index[is_open], stands[is_open]
+        return index[is_open], falls_from[is_open]
 
 
 def _every(towers: Towers) -> np.ndarray:

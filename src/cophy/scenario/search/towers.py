@@ -86,21 +86,3 @@ TOWER_CELLS = (
 # twins, so that only how it falls tells the confounders. In each block both configurations meet both outcomes of C.
 _SAME, _OPPOSITE, _BOTH_FALL = (0, 1), (2, 3), (4, 5)
 TOWER_BLOCKS = (*[_BOTH_FALL] * 4, _SAME, *[_BOTH_FALL] * 4, _OPPOSITE)
-
-
-def agreement(stands: np.ndarray, cell: TowerCell) -> np.ndarray:
-    """How much a standing A tells about C.
-
-    Args:
-        stands: (geometry, 2, combination) bool, of A and of C.
-        cell: of either twin.
-
-    Returns:
-        (geometry,) of the combinations under which A stands, the share under which C does as it does for the twin whose A
-        stands. It is 1 where A falls under both twins: then how A falls is to tell.
-    """
-    if cell.observed == cell.twin_observed:
-        return np.ones(len(stands))
-    observed, counterfactual = stands[:, 0], stands[:, 1]
-    share = (observed & counterfactual).sum(axis=1) / observed.sum(axis=1)
-    return np.asarray(share if cell.observed == cell.counterfactual else 1 - share)

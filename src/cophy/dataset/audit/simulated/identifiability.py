@@ -21,15 +21,16 @@ from cophy.scenario.search.towers import tower_of
 MAX_ENUMERATED = 1000  # ours: configurations; more of them would take minutes for each twin pair
 ALIKE_M = 0.05  # ours: AB of two configurations look alike below this trajectory distance, to eyes that see to 5 cm
 BEGINNINGS = (0.2, 0.4)  # ours: shares of AB after which configurations are dropped that cannot look alike any more
-MIN_IDENTIFIED = 0.9  # ours: towers that stand in AB, a tenth of all, may leave open how they fall in CD
+MIN_IDENTIFIED = 0.9  # ours: a twentieth of all towers stand in AB and fall in CD; how they fall is left open
+MIN_OUTCOMES = 0.98  # ours: all by statics, but now and then a tower falls by fewer blocks than on paper
 
 
 def identifiability(arrays: Arrays, spec: DatasetSpec, pairs: int) -> Iterator[Check]:
     """How often AB tells CD, over twin pairs that are chosen at random.
 
     An experiment is identified if every configuration whose AB looks like the true one agrees on CD: its trajectory is
-    within `min_difference`, and a tower that stands stands. Where there are too many configurations, those that differ
-    from the true one in a single value are tried, and the line has no limit.
+    within `min_difference`. Of towers it is also asked whether they agree on whether it stands. Where there are too many
+    configurations, those that differ from the true one in a single value are tried, and the line has no limit.
 
     Args:
         arrays: of the whole dataset.
@@ -43,12 +44,15 @@ def identifiability(arrays: Arrays, spec: DatasetSpec, pairs: int) -> Iterator[C
         found = np.array([agreed for pair in bar for agreed in _agreements(arrays, spec, pair, enumerated, simulator)])
     outcome, trajectory = found.mean(axis=0)
     others = "all configurations" if enumerated else "configurations with one other value"
-    text = f"the same CD in {trajectory:.0%} of {len(found)} experiments"
+    yield _line(f"AB identifies CD, among {others}", trajectory, MIN_IDENTIFIED, len(found), enumerated)
     if spec.scenario.statics is not None:
-        text += f", CD stands or falls alike in {outcome:.0%}"
-    limit = f" ≥ {MIN_IDENTIFIED:.0%}, up to chance" if enumerated else " (no limit: too many to try all)"
-    least = MIN_IDENTIFIED - tolerance(MIN_IDENTIFIED, len(found))
-    yield Check(f"AB identifies CD, among {others}", text + limit, bool(not enumerated or trajectory >= least))
+        yield _line(f"AB tells whether CD stands, among {others}", outcome, MIN_OUTCOMES, len(found), enumerated)
+
+
+def _line(name: str, share: float, least: float, count: int, enumerated: bool) -> Check:
+    text = f"in {share:.1%} of {count} experiments"
+    limit = f" ≥ {least:.0%}, up to chance" if enumerated else " (no limit: too many to try all)"
+    return Check(name, text + limit, bool(not enumerated or share >= least - tolerance(least, count)))
 
 
 def _agreements(
@@ -59,8 +63,11 @@ def _agreements(
     scene = scene_of(arrays, rows[0], scenario)
     truth = [trajectories_of(arrays, row) for row in rows]
     own = arrays["configuration"][list(rows)].tolist()
-    tried = _not_ruled_out(scenario, scene, _all_or_neighbours(spec, own, enumerated), own)
-    alike = _alike(scenario, scene, tried, [observed for observed, _ in truth], simulator)
+    tried = np.array(_all_or_neighbours(spec, own, enumerated))
+    stands, own_stand = _stand(scenario, scene, tried), _stand(scenario, scene, np.array(own))
+    falling = _alike(scenario, scene, tried[~stands].tolist(), [observed for observed, _ in truth], simulator)
+    standing = tried[stands].tolist()  # towers that stand look alike
+    alike = [standing if stand else found for stand, found in zip(own_stand.tolist(), falling, strict=True)]
     for row, configurations, (_, counterfactual) in zip(rows, alike, truth, strict=True):
         do_operation = do_operation_of(arrays, row, scenario)
         starts = [do_operation.apply(scenario.under(configuration, scene)) for configuration in configurations]
@@ -91,16 +98,14 @@ def _all_or_neighbours(spec: DatasetSpec, own: list[int], enumerated: bool) -> l
     return sorted({other for each in own for other in grid.neighbours(each, spec.num_objects)})
 
 
-def _not_ruled_out(scenario: Scenario, scene: Scene, tried: list[int], own: list[int]) -> list[int]:
-    """Without those of which statics say that A stands where it falls under both twins' confounders, or the reverse."""
+def _stand(scenario: Scenario, scene: Scene, configurations: np.ndarray) -> np.ndarray:
+    """(configuration,) bool: where A is a tower that stands, by statics."""
     if scenario.statics is None:
-        return tried
-    tower, grid, num_levels = tower_of(scene), scenario.confounders, len(scene.objects)
-    confounders = [grid.decode(configuration, num_levels) for configuration in (*own, *tried)]
+        return np.zeros(len(configurations), dtype=bool)
+    confounders = [scenario.confounders.decode(each, len(scene.objects)) for each in configurations.tolist()]
     tilt = np.array([each.gravity_xy for each in confounders]) / -scenario.gravity_z
     loads = Combinations(np.array([each.mass for each in confounders]), tilt)
-    own_stand, stand = np.split(scenario.statics.margins(*tower, loads)[0] > 0, [len(own)])
-    return [configuration for configuration, stands in zip(tried, stand, strict=True) if stands in own_stand]
+    return np.asarray(scenario.statics.margins(*tower_of(scene), loads)[0] > 0)
 
 
 def _alike(
