@@ -12,6 +12,7 @@ from cophy.app import cli
 from cophy.app.composition import to_config, to_plain
 from cophy.app.registration import register
 from cophy.app.schemas import TrainConfig
+from cophy.app.variants import variant
 
 register()
 log = logging.getLogger(__name__)
@@ -20,8 +21,8 @@ log = logging.getLogger(__name__)
 @hydra.main(version_base="1.3", config_path="../conf", config_name="train")
 def main(cfg: DictConfig) -> float:
     from cophy.app.assembly import run_configured  # Lightning takes seconds to import; --help does not need it
+    from cophy.training.runs.claim import claimed
     from cophy.training.runs.identity import Run
-    from cophy.training.runs.results import forget_results, write_failure
 
     chosen = HydraConfig.get()
     choices = chosen.runtime.choices
@@ -30,13 +31,13 @@ def main(cfg: DictConfig) -> float:
         size=choices["size"] if choices["source"] == "generated" else choices["source"],  # released data have their own
         positions=cfg.positions,
         seed=cfg.seed,
+        variant=variant(cfg, choices),
         directory=Path(chosen.runtime.output_dir),
     )
-    forget_results(run)
     try:
-        return run_configured(to_config(cfg, TrainConfig), to_plain(cfg), run).get("mse", float("nan"))
+        with claimed(run):
+            return run_configured(to_config(cfg, TrainConfig), to_plain(cfg), run)
     except Exception as error:
-        write_failure(run, error)
         if chosen.mode is RunMode.MULTIRUN:  # the other runs go on; Hydra names only the first that failed
             log.error("%s failed: %s", run.place, error, exc_info=not cli.is_mendable(error))
         raise

@@ -12,7 +12,7 @@ from tests.commands import run, train
 from tests.conftest import SCENARIOS
 
 FIELDS = {
-    "scenario", "split", "model", "ablation", "positions", "seed", "size",
+    "scenario", "split", "model", "ablation", "positions", "seed", "size", "variant", "validation",
     "dataset_ids", "derenderer", "max_epochs", "num_train", "num_test", "training_seconds", "wall_seconds", "metrics", "intervals",
 }  # fmt: skip
 
@@ -72,8 +72,8 @@ def test_resuming_goes_on_where_training_stopped(tiny_data: Path, tmp_path: Path
     assert state("part") != state("whole")
     last = tmp_path / "part" / "checkpoints" / "last.ckpt"
     splits = "scenario.task.splits=[3to3,mine]"  # names of splits are no setting of a training
-    train("trainer.max_epochs=4", f"ckpt={last}", splits, f"hydra.run.dir={tmp_path / 'part'}", data=tiny_data)
-    assert state("part") == state("whole")
+    train("trainer.max_epochs=4", f"ckpt={last}", splits, f"hydra.run.dir={tmp_path / 'rest'}", data=tiny_data)
+    assert state("rest") == state("whole")
 
 
 def test_a_checkpoint_of_another_training_is_refused(tiny_data: Path, tmp_path: Path) -> None:
@@ -173,14 +173,18 @@ def test_audit_names_what_is_wrong(tmp_path: Path) -> None:
 
 def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> None:
     """De-renderer, estimates, a predictor that sees them, and a prediction from files."""
-    small = ("scenario=collision", "render.resolution=16", f"hydra.sweep.dir={tmp_path}", f"data_dir={tiny_data}")
-    place = "{}/full/{}/seed0"
+    small = ("scenario=collision", f"source.outputs={tmp_path}")
+
+    def directory(model: str, positions: str) -> Path:
+        (found,) = tmp_path.glob(f"collision/all/{model}/full/{positions}/seed0+size-tiny*")
+        return found
+
     sizes = ("model.resolution=16", "model.width=2", "model.readout=linear", "num_images=200", "trainer.max_epochs=2")
-    row = "collision/all/" + place.format("derenderer", "ground_truth")
-    train("model=derenderer", *small[:2], *sizes, f"hydra.run.dir={tmp_path / row}", data=tiny_data)
-    measured = json.loads((tmp_path / row / "metrics.json").read_text())["metrics"]
+    train("model=derenderer", *small, "render.resolution=16", *sizes, data=tiny_data)
+    row = directory("derenderer", "ground_truth")
+    measured = json.loads((row / "metrics.json").read_text())["metrics"]
     assert {"mse", "euclidean_error", "x_error", "presence_accuracy", "mean_position_error"} <= set(measured)
-    curves = EventAccumulator(str(tmp_path / row / "tensorboard"))
+    curves = EventAccumulator(str(row / "tensorboard"))
     curves.Reload()
     assert {"val/centres", "val/clip"} <= set(curves.Tags()["images"])
 
@@ -188,9 +192,9 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     assert "40 experiments, 2 shards, all whole" in said
 
     for positions in ("derendered", "train_ground_truth_test_derendered"):
-        seen = "collision/all/" + place.format("cophynet", positions)
-        train(*small[:1], f"positions={positions}", f"hydra.run.dir={tmp_path / seen}", data=tiny_data)
-        assert json.loads((tmp_path / seen / "metrics.json").read_text())["positions"] == positions
+        train(*small, f"positions={positions}", data=tiny_data)
+        seen = directory("cophynet", positions)
+        assert json.loads((seen / "metrics.json").read_text())["positions"] == positions
 
     look = tmp_path / "look"
     run(
@@ -211,8 +215,8 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
         "CD",
     }
     checkpoints = {
-        "derenderer": tmp_path / row / "checkpoints" / "best.ckpt",
-        "predictor": tmp_path / "collision/all" / place.format("cophynet", "derendered") / "checkpoints" / "best.ckpt",
+        "derenderer": row / "checkpoints" / "best.ckpt",
+        "predictor": directory("cophynet", "derendered") / "checkpoints" / "best.ckpt",
     }
     given = [f"{key}={path}" for key, path in checkpoints.items()]
     files = [f"observed={look / 'AB'}", f"initial={look / 'CD' / '00.png'}", f"truth={look / 'CD'}"]

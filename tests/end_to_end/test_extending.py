@@ -30,10 +30,10 @@ def test_the_model_of_the_page_trains_and_appears_in_the_report(tiny_data: Path,
         assert result.returncode == 0, result.stderr[-3000:]
         return result.stdout
 
-    row = tmp_path / "outputs/collision/all/drift/full/ground_truth/seed0"
+    row = tmp_path / "outputs/collision/all/drift/full/ground_truth/seed0+size-tiny+max_epochs-2"
     command(
         "train.py", "scenario=collision", "model=drift", "size=tiny", f"data_dir={tiny_data}",
-        "trainer.max_epochs=2", f"hydra.run.dir={row}",
+        "trainer.max_epochs=2", f"source.outputs={tmp_path / 'outputs'}",
     )  # fmt: skip
     metrics = json.loads((row / "metrics.json").read_text())
     assert metrics["model"] == "drift"

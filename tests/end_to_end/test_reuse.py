@@ -10,17 +10,18 @@ from cophy.dataset.store.states import States
 from tests.commands import train
 from tests.conftest import tiny_spec
 
+RUN = "seed0+size-tiny+max_epochs-1"
 HALVES = ("scenario=balls", "trainer.max_epochs=1")
 
 
 def result(root: Path, split: str) -> dict:
-    return json.loads((root / f"balls/{split}/cophynet/full/ground_truth/seed0/metrics.json").read_text())
+    return json.loads((root / f"balls/{split}/cophynet/full/ground_truth/{RUN}/metrics.json").read_text())
 
 
 def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path: Path) -> None:
     printed = train("-m", *HALVES, "split=4to4,4to3", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
     assert printed.count("trained already") == 1
-    assert str(tmp_path / "balls/4to4/cophynet/full/ground_truth/seed0/checkpoints") in printed
+    assert str(tmp_path / f"balls/4to4/cophynet/full/ground_truth/{RUN}/checkpoints") in printed
     assert result(tmp_path, "4to3")["metrics"]["mse"] != result(tmp_path, "4to4")["metrics"]["mse"]
     assert result(tmp_path, "4to3")["training_seconds"] == result(tmp_path, "4to4")["training_seconds"]
     named = "scenario.task.splits=[4to4,4to2,4to3,4to5,4to6,mine]"  # a split more does not train the others again
@@ -40,7 +41,7 @@ def test_a_training_on_half_of_the_data_takes_twice_the_epochs(tiny_data: Path, 
 
 
 def test_another_training_is_not_reused(tiny_data: Path, tmp_path: Path) -> None:
-    place = (*HALVES, f"hydra.run.dir={tmp_path}")
+    place = (*HALVES, f"source.outputs={tmp_path}")
     train(*place, data=tiny_data)
     assert "trained already" in train(*place, data=tiny_data)
     assert "trained already" not in train(*place, "reuse=false", data=tiny_data)
@@ -91,6 +92,7 @@ def test_a_model_that_crashes_in_a_sweep_leaves_its_traceback(
 def test_checkpoints_of_an_earlier_training_are_not_tested(tiny_data: Path, tmp_path: Path) -> None:
     """A training that never validates has no best checkpoint; the old one must not stand in for it."""
     train("scenario=collision", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    (tmp_path / "metrics.json").unlink()  # with it, the directory is that of another run
     without = ("trainer.limit_val_batches=0", "training.learning_rate=0.001")
     train("scenario=collision", *without, f"hydra.run.dir={tmp_path}", data=tiny_data, code=1)
     assert not (tmp_path / "metrics.json").exists()

@@ -5,6 +5,7 @@ model_schemas: the same for the choices of `model=`.
 registration: makes the schemas known to Hydra.
 cli: runs a command; what the user can mend ends it with one line.
 composition: a configuration as the command line composes it, typed or not.
+variants: what a run changes beyond its names, in the name of its directory.
 datasets: the datasets that a configuration names.
 report_choices: what the names of runs stand for, which the report asks.
 assembly: takes the configuration of a run apart, and carries the run out.

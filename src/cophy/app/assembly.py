@@ -3,6 +3,7 @@
 Nothing deeper in the package sees the whole of it.
 """
 
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from cophy.training.trained.resuming import check_resumable
 from cophy.training.trained.trained_derenderer import TrainedDerenderer, find_derenderer
 
 
-def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, float]:
+def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> float:
     """Carry out the run that a configuration describes.
 
     Args:
@@ -39,18 +40,22 @@ def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> di
         run: Its names and place.
 
     Returns:
-        The mean of every measure on the test split; nothing from a trial (`trainer.fast_dev_run`).
+        What a sweep optimises, see `optimized_metric` in conf/train.yaml; NaN where nothing was trained.
     """
     started = time.monotonic()
     torch.set_num_threads(settings.threads)
     L.seed_everything(settings.seed, workers=True, verbose=False)
     if isinstance(settings.model, OracleConfig):
-        return _carry_out_oracle(settings, settings.model, run, started)
+        _carry_out_oracle(settings, settings.model, run, started)
+        return math.nan
     resume = None if settings.ckpt is None else Path(settings.ckpt)
     stage, origin = _stage(settings, plain, run, resume)
     trainer = with_epochs(plain["trainer"], stage.epochs_factor)
     plan = Plan(trainer, settings.seed, settings.threads, settings.reuse, resume, started)
-    return carry_out(run, stage, plan, origin)
+    validation, wanted = carry_out(run, stage, plan, origin), settings.optimized_metric
+    if validation and wanted not in validation:
+        raise CophyError(f"optimized_metric={wanted} is not among {', '.join(sorted(validation))}")
+    return validation.get(wanted, math.nan)
 
 
 def _stage(settings: TrainConfig, plain: dict[str, Any], run: Run, resume: Path | None) -> tuple[Stage, Origin]:
@@ -129,7 +134,7 @@ def _derenderer(settings: TrainConfig, run: Run) -> TrainedDerenderer:
     return derenderer
 
 
-def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, run: Run, started: float) -> dict[str, float]:
+def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, run: Run, started: float) -> None:
     if settings.ckpt is not None:
         raise CophyError(f"ckpt={settings.ckpt}: {run.model} has nothing to train or to restore")
     if settings.trainer.fast_dev_run:
@@ -140,4 +145,4 @@ def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, run: Run, sta
     data.prepare_data()
     data.setup()
     asked = OracleSettings(oracle.draws, oracle.max_configurations, oracle.noise)
-    return carry_out_oracle(run, data, oracle.oracle, asked, started=started)
+    carry_out_oracle(run, data, oracle.oracle, asked, started=started)

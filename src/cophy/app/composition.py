@@ -1,5 +1,6 @@
 """Configurations as the command line composes them, typed or not."""
 
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 import cophy
 from cophy.errors import CophyError
 
+OPEN = ("trainer.",)  # takes any argument of lightning.Trainer with +
 CONF = Path(cophy.__file__).parents[2] / "conf"
 
 Config = TypeVar("Config")
@@ -20,14 +22,27 @@ def to_config(config: DictConfig, schema: type[Config]) -> Config:
     """The typed configuration, made of plain Python objects.
 
     Raises:
-        CophyError: A value is out of its range, or not resolved.
+        CophyError: A value is out of its range or not resolved, or a key does not exist.
     """
+    _check_keys(config, "")
     try:
         built = OmegaConf.to_object(config)
     except (ValueError, TypeError) as error:
         raise CophyError(str(error)) from error
     assert isinstance(built, schema), type(built)
     return built
+
+
+def _check_keys(config: DictConfig, path: str) -> None:
+    """Refuse keys that were added with + and that nothing reads; those of a model of one's own are free."""
+    schema = OmegaConf.get_type(config)
+    if path in OPEN or not is_dataclass(schema):
+        return
+    for key in map(str, config):
+        if key not in {field.name for field in fields(schema)}:
+            raise CophyError(f"{path}{key}: there is no such key; --help lists them")
+        if not OmegaConf.is_missing(config, key) and isinstance(child := config[key], DictConfig):
+            _check_keys(child, f"{path}{key}.")
 
 
 def to_plain(config: DictConfig) -> dict[str, Any]:
@@ -37,16 +52,23 @@ def to_plain(config: DictConfig) -> dict[str, Any]:
     return {str(key): value for key, value in plain.items()}
 
 
-def composed(name: str, *overrides: str) -> DictConfig:
+def composed(name: str, *overrides: str, return_hydra_config: bool = False) -> DictConfig:
     """What `python src/<name>.py <overrides>` composes.
 
     Inside a command, the folders of configurations that the command was given count too.
+
+    Args:
+        name: Of the command.
+        overrides: Of its configuration.
+        return_hydra_config: Whether Hydra's own keys are in it.
     """
     if GlobalHydra.instance().is_initialized():
         given = HydraConfig.get().overrides.hydra
-        return hydra.compose(name, [*(path for path in given if path.startswith("hydra.searchpath=")), *overrides])
+        return hydra.compose(
+            name, [*(path for path in given if path.startswith("hydra.searchpath=")), *overrides], return_hydra_config
+        )
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        return hydra.compose(name, list(overrides))
+        return hydra.compose(name, list(overrides), return_hydra_config)
 
 
 def settings(name: str, *overrides: str) -> Any:

@@ -17,7 +17,7 @@ from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
-OF_EVERY_RUN = ("model", "scenario", "split", "training", "data_seed")
+OF_EVERY_RUN = ("model", "scenario", "split", "training", "trainer", "data_seed")
 OF_DERENDERERS = ("render", "num_images", "num_objects")
 
 

@@ -158,6 +158,7 @@ class TrainConfig(RenderDataConfig):
     seed: int = MISSING
     threads: int = MISSING
     figures_every_n_epochs: int = MISSING
+    optimized_metric: str = MISSING
     reuse: bool = MISSING
     ckpt: str | None = None
 
@@ -166,6 +167,8 @@ class TrainConfig(RenderDataConfig):
         _at_least(0, seed=self.seed)
         _at_least(1, threads=self.threads, figures_every_n_epochs=self.figures_every_n_epochs)
         _at_least(10, num_images=self.num_images)
+        if not self.optimized_metric.startswith("val/"):
+            raise ValueError(f"optimized_metric={self.optimized_metric} must be of the validation split: val/mse, …")
         if self.positions not in ESTIMATED:
             raise ValueError(f"positions={self.positions} is not among {', '.join(ESTIMATED)}")
 

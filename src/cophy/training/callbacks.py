@@ -1,6 +1,7 @@
 """What a training shows and says on its way."""
 
 import logging
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -111,6 +112,24 @@ class SaveOrigin(L.Callback):
 
     def on_save_checkpoint(self, trainer: L.Trainer, pl_module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
         checkpoint[ORIGIN] = asdict(self.origin)
+
+
+class BestValidation(L.Callback):
+    """Remembers the validation metrics of the epoch with the best val/mse, whose weights are tested."""
+
+    def __init__(self) -> None:
+        self.metrics: dict[str, float] = {}
+
+    def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        found = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
+        if not trainer.sanity_checking and found["val/mse"] < self.metrics.get("val/mse", math.inf):
+            self.metrics = found
+
+    def state_dict(self) -> dict[str, Any]:
+        return self.metrics
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self.metrics = state_dict
 
 
 class ResumeHint(L.Callback):

@@ -22,7 +22,7 @@ from cophy.types import Batch, Prediction
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
-    return Run("balls", "4to4", "cophynet", "full", "ground_truth", 1, "tiny", tmp_path)
+    return Run("balls", "4to4", "cophynet", "full", "ground_truth", 1, "tiny", "", tmp_path)
 
 
 def test_metrics_are_means_with_their_intervals(run: Run) -> None:

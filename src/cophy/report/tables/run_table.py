@@ -12,13 +12,14 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from cophy.errors import CophyError
+from cophy.training.runs.identity import differences, plain_value
 from cophy.training.runs.results import FAILURE, METRICS
 
 log = logging.getLogger(__name__)
 
 NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "size")
+IN_CAPTIONS = "trainer.max_epochs"  # may differ, as sizes may: each table says how long was trained
 COUNTS = ("num_train", "num_test", "training_seconds", "wall_seconds")
-NOT_COMPARED = {"scenario.task.splits"}  # a split more changes no run
 
 
 def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]) -> pd.DataFrame:
@@ -89,6 +90,7 @@ def _finished(path: Path) -> dict[str, Any]:
     content = json.loads(path.read_bytes())
     line = {name: content[name] for name in (*NAMES, *COUNTS, "dataset_ids")} | {"error": None}
     line["derenderer"] = content.get("derenderer")  # None where true positions were seen
+    line["variant"] = content.get("variant", "")
     for name, value in content["metrics"].items():
         low, high = content["intervals"][name]
         line |= {name: float(value), f"{name}_low": float(low), f"{name}_high": float(high)}
@@ -97,11 +99,11 @@ def _finished(path: Path) -> dict[str, Any]:
 
 def _failure(path: Path) -> dict[str, Any]:
     content = json.loads(path.read_bytes())
-    return {name: content[name] for name in (*NAMES, "error")}
+    return {name: content[name] for name in (*NAMES, "error")} | {"variant": content.get("variant", "")}
 
 
 def _misplaced(line: dict[str, Any], directory: Path) -> list[str]:
-    names = [str(line[name]) for name in NAMES[:5]] + [f"seed{line['seed']}"]
+    names = [str(line[name]) for name in NAMES[:5]] + [f"seed{line['seed']}{line['variant']}"]
     return [] if list(directory.parts[-6:]) == names else [f"it says it is {'/'.join(names)}"]
 
 
@@ -109,7 +111,8 @@ def _changes(line: dict[str, Any], directory: Path, expected: dict[str, Any]) ->
     """Keys of the run's own configuration that are not what its names stand for; notes its epochs and metric_dims in the line."""
     own = OmegaConf.load(directory / ".hydra" / "config.yaml")
     line["epochs"], line["metric_dims"] = _epochs(line, own), int(own.scenario.task.metric_dims)
-    return [found for key, value in expected.items() for found in _differences(key, _plain(own, key), value)]
+    changed = (pair for key, value in expected.items() for pair in differences(key, plain_value(own, key), value))
+    return [f"{key}={value}" for key, value in changed if key != IN_CAPTIONS]
 
 
 def _epochs(line: dict[str, Any], own: Any) -> int:
@@ -117,15 +120,3 @@ def _epochs(line: dict[str, Any], own: Any) -> int:
     of_predictor = not line["model"].startswith("derenderer")
     factor = OmegaConf.select(own, "split.epochs_factor", default=1) if of_predictor else 1
     return max(int(own.trainer.max_epochs) * factor, -1)
-
-
-def _plain(config: Any, key: str) -> Any:
-    node = OmegaConf.select(config, key)
-    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
-
-
-def _differences(key: str, own: Any, expected: Any) -> list[str]:
-    if isinstance(own, dict) and isinstance(expected, dict):
-        inside = sorted(own.keys() | expected.keys())
-        return [found for name in inside for found in _differences(f"{key}.{name}", own.get(name), expected.get(name))]
-    return [] if own == expected or key in NOT_COMPARED else [f"{key}={own}"]

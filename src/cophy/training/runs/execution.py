@@ -9,9 +9,11 @@ from typing import Any
 import lightning as L
 
 from cophy.errors import CophyError
+from cophy.training.callbacks import BestValidation
 from cophy.training.runs import reuse
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import write_metrics
+from cophy.training.runs.reuse import Trained
 from cophy.training.runs.stages import Stage
 from cophy.training.runs.trainer import make_trainer
 from cophy.training.trained.checkpoints import Origin
@@ -56,14 +58,15 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
         origin: What goes into the checkpoints.
 
     Returns:
-        The mean of every measure on the test split; nothing from a trial.
+        The validation metrics of the epoch whose weights were tested; nothing from a trial, or where nothing is trained.
     """
-    trainer = make_trainer(run, origin, stage.figures, plan.trainer)
+    best_epoch = BestValidation()
+    trainer = make_trainer(run, origin, [stage.figures, best_epoch], plan.trainer)
     assert trainer.logger is not None  # TensorBoard, or of a trial one that does nothing
     trainer.logger.log_hyperparams(compared(run, origin, plan.trainer), {"test/mse": float("nan")})
-    best, training_seconds = None, 0.0
+    best, trained = None, Trained(0.0, {})
     if stage.learns:
-        training_seconds = _train(trainer, run, stage, plan, origin)
+        trained = _train(trainer, best_epoch, run, stage, plan, origin)
         best = None if plan.is_trial else run.checkpoints / "best.ckpt"
     elif plan.resume is not None:
         raise CophyError(f"ckpt={plan.resume}: {run.model} has nothing to train or to restore")
@@ -76,13 +79,14 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
         "num_train": len(stage.data.train),
         "num_test": len(stage.data.test),
         "max_epochs": plan.trainer["max_epochs"],
-        "training_seconds": training_seconds,
+        "training_seconds": trained.seconds,
+        "validation": trained.validation,
     }
     measured = stage.measure()
     metrics = write_metrics(run, measured, about | {"wall_seconds": round(time.monotonic() - plan.started, 1)})
     trainer.logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, trainer.global_step)
     trainer.logger.save()
-    return metrics
+    return trained.validation
 
 
 def compared(run: Run, origin: Origin, trainer: dict[str, Any]) -> dict[str, Any]:
@@ -96,8 +100,10 @@ def compared(run: Run, origin: Origin, trainer: dict[str, Any]) -> dict[str, Any
     return run.names() | flatten({"model": origin.model, "training": origin.training, "trainer": trainer})
 
 
-def _train(trainer: L.Trainer, run: Run, stage: Stage, plan: Plan, origin: Origin) -> float:
-    """Fit, or adopt the checkpoints of a training that was the same; returns the seconds that training took."""
+def _train(
+    trainer: L.Trainer, best_epoch: BestValidation, run: Run, stage: Stage, plan: Plan, origin: Origin
+) -> Trained:
+    """Fit, or adopt the checkpoints of a training that was the same."""
     network = stage.module.network
     of_training = reuse.fingerprint(network, origin, trainer=plan.trainer, seed=plan.seed, threads=plan.threads)
     anew = plan.resume is None and not plan.is_trial
@@ -108,7 +114,7 @@ def _train(trainer: L.Trainer, run: Run, stage: Stage, plan: Plan, origin: Origi
         reuse.forget_checkpoints(run)
     start = time.monotonic()
     trainer.fit(stage.module, stage.data, ckpt_path=plan.resume, weights_only=True)
-    seconds = round(time.monotonic() - start, 1)
+    trained = Trained(round(time.monotonic() - start, 1), best_epoch.metrics)
     if anew:
-        reuse.record(run, of_training, training_seconds=seconds)
-    return seconds
+        reuse.record(run, of_training, trained)
+    return trained

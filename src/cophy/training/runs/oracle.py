@@ -20,7 +20,7 @@ MIN_PROBABILITY = 1e-6  # of being stable, and of not, so that its logit is fini
 
 def carry_out_oracle(
     run: Run, data: CounterfactualDataModule, oracle: str, settings: OracleSettings, *, started: float
-) -> dict[str, float]:
+) -> None:
     """Test what an oracle forecasts; nothing is trained.
 
     Args:
@@ -31,9 +31,6 @@ def carry_out_oracle(
             these instead. "counterfactual": given AB instead.
         settings: What the oracles are asked with.
         started: `time.monotonic()` when the run began.
-
-    Returns:
-        The mean of every measure on the test split.
     """
     prediction, targets = forecast(data, oracle, settings), data.test.batch.targets
     measured = Measured(evaluate(prediction, targets, data.scenario), targets.pair.numpy())
@@ -51,7 +48,6 @@ def carry_out_oracle(
     logger.log_hyperparams(run.names() | {f"model.{key}": value for key, value in asdict(settings).items()})
     logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, step=0)
     logger.save()
-    return metrics
 
 
 def forecast(data: CounterfactualDataModule, oracle: str, settings: OracleSettings) -> Prediction:

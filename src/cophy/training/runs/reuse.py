@@ -8,7 +8,7 @@ import inspect
 import json
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import nn
@@ -24,6 +24,13 @@ WITHOUT_EFFECT = {"enable_progress_bar", "enable_model_summary", "log_every_n_st
 # rooms of the package that no weight depends on: they only show what others computed. All others count, also those of
 # which only a part does: a training too many costs minutes, a stale checkpoint a wrong table
 SHOWING = ("drawing", "report")
+
+
+class Trained(NamedTuple):
+    """A finished training: how many seconds it took, and the validation metrics of its best epoch."""
+
+    seconds: float
+    validation: dict[str, float]
 
 
 def fingerprint(network: nn.Module, origin: Origin, *, trainer: dict[str, Any], seed: int, threads: int) -> str:
@@ -64,14 +71,15 @@ def find_checkpoints(run: Run, wanted: str) -> Path | None:
     return None
 
 
-def adopt(found: Path, run: Run) -> float:
-    """Copy finished checkpoints into the run; returns the seconds that their training took."""
+def adopt(found: Path, run: Run) -> Trained:
+    """Copy finished checkpoints into the run."""
     if found.resolve() != run.checkpoints.resolve():
         forget_checkpoints(run)
         run.checkpoints.mkdir(parents=True, exist_ok=True)
         for name in (*CHECKPOINTS, FINISHED):
             shutil.copyfile(found / name, run.checkpoints / name)
-    return float(_read(run.checkpoints)["training_seconds"])
+    about = _read(run.checkpoints)
+    return Trained(float(about["training_seconds"]), about["validation"])
 
 
 def forget_checkpoints(run: Run) -> None:
@@ -80,15 +88,15 @@ def forget_checkpoints(run: Run) -> None:
         (run.checkpoints / name).unlink(missing_ok=True)
 
 
-def record(run: Run, wanted: str, *, training_seconds: float) -> None:
+def record(run: Run, wanted: str, trained: Trained) -> None:
     """After training: write down what the checkpoints in the run's directory are.
 
     Args:
         run: The run.
         wanted: Fingerprint of its training.
-        training_seconds: How long that took.
+        trained: What is known of it.
     """
-    content = {"fingerprint": wanted, "training_seconds": training_seconds}
+    content = {"fingerprint": wanted, "training_seconds": trained.seconds, "validation": trained.validation}
     (run.checkpoints / FINISHED).write_text(json.dumps(content) + "\n")
 
 
@@ -97,7 +105,11 @@ def _read(checkpoints: Path) -> dict[str, Any]:
         content = json.loads((checkpoints / FINISHED).read_bytes())
     except (OSError, ValueError):
         return {}
-    return content if isinstance(content, dict) and {"fingerprint", "training_seconds"} <= content.keys() else {}
+    return (
+        content
+        if isinstance(content, dict) and {"fingerprint", "training_seconds", "validation"} <= content.keys()
+        else {}
+    )
 
 
 def _hash_of_sources(network: nn.Module) -> str:

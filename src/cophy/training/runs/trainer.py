@@ -7,6 +7,7 @@ import lightning as L
 from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
 
+from cophy.errors import CophyError
 from cophy.training.callbacks import ResumeHint, SaveOrigin
 from cophy.training.runs.identity import Run
 from cophy.training.trained.checkpoints import Origin
@@ -26,13 +27,13 @@ def with_epochs(arguments: dict[str, Any], factor: int) -> dict[str, Any]:
     return arguments | {"max_epochs": max(factor * arguments["max_epochs"], -1)}
 
 
-def make_trainer(run: Run, origin: Origin, figures: L.Callback, arguments: dict[str, Any]) -> L.Trainer:
+def make_trainer(run: Run, origin: Origin, watching: list[L.Callback], arguments: dict[str, Any]) -> L.Trainer:
     """A Trainer that keeps the checkpoint with the smallest validation MSE, and the last one.
 
     Args:
         run: Says where everything goes.
         origin: Goes into every checkpoint.
-        figures: Draws while it trains.
+        watching: Callbacks of this run: what draws, and what remembers.
         arguments: Of `lightning.Trainer` (conf/trainer/).
     """
     callbacks = [
@@ -41,7 +42,10 @@ def make_trainer(run: Run, origin: Origin, figures: L.Callback, arguments: dict[
         ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False),
         SaveOrigin(origin),
         LearningRateMonitor("epoch"),
-        figures,
+        *watching,
         ResumeHint(run.checkpoints / "last.ckpt"),
     ]
-    return L.Trainer(logger=tensorboard(run), callbacks=callbacks, default_root_dir=run.directory, **arguments)
+    try:
+        return L.Trainer(logger=tensorboard(run), callbacks=callbacks, default_root_dir=run.directory, **arguments)
+    except TypeError as error:  # an argument that Lightning does not have, given with +trainer.
+        raise CophyError(f"trainer: {error}") from error

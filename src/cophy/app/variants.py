@@ -1,0 +1,63 @@
+"""What a run changes beyond its names, as the end of its directory's name: `seed0+size-12k+hidden_dim-8`.
+
+Two runs that differ in anything that can change a result get different directories, whoever starts them and in whatever
+order their keys are given. conf/train.yaml asks for it as `${variant:}`. A path with `=` and `,` would need quotes twice
+where it is the value of a key (`ckpt=`, `derenderer=`), so the name has neither.
+"""
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from cophy.app.composition import composed
+from cophy.training.runs.identity import differences, plain_value
+
+NAMES = ("scenario", "split", "model", "ablation", "source")  # groups whose choices are parts of the path
+CHOICES = ("size", "confounders", "trainer")  # groups whose choice says more than the keys that it sets
+COMPARED = ("size", "data_seed", "scenario", "split", "model", "training", "trainer", "derenderer")
+OF_DERENDERERS = ("render", "num_images", "num_objects")
+LONGEST = 100  # characters; file systems allow 255
+
+
+def variant(config: DictConfig, choices: Mapping[str, Any]) -> str:
+    """What a run changes beyond its names, "" where it changes nothing.
+
+    Args:
+        config: The run's whole configuration.
+        choices: `hydra.runtime.choices`: which choice of every group it took.
+
+    Returns:
+        For example "+confounders-released+hidden_dim-8"; where that is long, its beginning and a hash of all.
+    """
+    named = [f"{group}={choices[group]}" for group in NAMES]
+    usual = composed("train", *named, return_hydra_config=True).hydra.runtime.choices
+    groups = [group for group in CHOICES if choices.get(group) != usual.get(group)]
+    expected = composed("train", *named, *(f"{group}={choices[group]}" for group in groups))
+    keys = (*COMPARED, *OF_DERENDERERS) if str(choices["model"]).startswith("derenderer") else COMPARED
+    found = dict(
+        pair for key in keys for pair in differences(key, plain_value(config, key), plain_value(expected, key))
+    )
+    last = Counter(key.rpartition(".")[2] for key in found)
+    changed = [(key if last[short := key.rpartition(".")[2]] > 1 else short, found[key]) for key in sorted(found)]
+    own = [(group, choices[group]) for group in groups]
+    text = "+".join(f"{key}-{_readable(value)}" for key, value in [*own, *changed])
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return f"+{text}" if text else ""
+
+
+def _readable(value: Any) -> str:
+    """A value as part of the name of a directory."""
+    return re.sub(r"[^\w.-]+", "_", str(value)).strip("_")
+
+
+def _of_whole(*, _root_: DictConfig) -> str:
+    return variant(_root_, _root_.hydra.runtime.choices)
+
+
+# here and not in `register`: a process that Hydra's launchers start imports this module with the command, and no more
+OmegaConf.register_new_resolver("variant", _of_whole, replace=True)

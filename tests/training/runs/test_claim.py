@@ -1,0 +1,55 @@
+"""Runs that want the same directory."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cophy.errors import CophyError
+from cophy.training.runs.claim import claimed
+from cophy.training.runs.identity import Run
+from cophy.training.runs.results import Measured, write_metrics
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    return Run("balls", "4to4", "cophynet", "full", "ground_truth", 1, "tiny", "", tmp_path / "run")
+
+
+def finish(run: Run) -> None:
+    write_metrics(run, Measured({"mse": np.array([1.0, 3.0])}, np.array([0, 0])), {})
+
+
+def test_one_process_at_a_time_makes_a_run(run: Run) -> None:
+    with claimed(run):
+        with pytest.raises(CophyError, match="another process is making this run"), claimed(run):
+            raise AssertionError("two at once")
+        finish(run)
+    assert sorted(path.name for path in run.directory.iterdir()) == [".lock", "metrics.json"]
+
+
+def test_the_same_run_forgets_its_earlier_results(run: Run) -> None:
+    with claimed(run):
+        finish(run)
+    with claimed(run):
+        assert not (run.directory / "metrics.json").exists()
+
+
+def test_the_results_of_another_run_are_not_replaced(run: Run) -> None:
+    with claimed(run):
+        finish(run)
+    other = replace(run, variant="+hidden_dim-8")
+    with pytest.raises(CophyError, match=r"is of another run \(variant=\)"), claimed(other):
+        raise AssertionError("replaced")
+    assert (run.directory / "metrics.json").exists()
+    assert not (run.directory / "failure.json").exists()
+
+
+def test_what_fails_leaves_a_note(run: Run) -> None:
+    with pytest.raises(ValueError, match="broken"), claimed(run):
+        raise ValueError("broken")
+    assert (run.directory / "failure.json").exists()
+    with claimed(run):
+        finish(run)
+    assert not (run.directory / "failure.json").exists()
