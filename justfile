@@ -13,7 +13,7 @@ setup:
 
 # generate data, train and test the models of one split of the paper's Table 4 and print the table (six minutes on two cores)
 demo: setup
-    {{bin}}/python src/train.py +table=collision hydra.sweeper.params.split=all trainer.max_epochs=15 hydra.sweep.dir=outputs/demo
+    {{bin}}/python src/train.py +table=collision split=all trainer.max_epochs=15 hydra.sweep.dir=outputs/demo
     {{bin}}/python src/report.py outputs=outputs/demo
     @echo "Curves: {{bin}}/tensorboard --logdir outputs/demo"
 

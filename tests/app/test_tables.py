@@ -2,6 +2,7 @@
 
 import itertools
 from functools import cache
+from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
@@ -9,6 +10,7 @@ from hydra import compose, initialize_config_dir
 from cophy.app.composition import CONF
 from cophy.dataset.store.experiment_set import ORACLES
 from cophy.report.tables.paper_tables import PaperTable, paper_tables
+from tests.commands import train
 from tests.conftest import ROOT
 
 
@@ -55,3 +57,11 @@ def test_every_split_of_a_table_is_tested_by_every_oracle(scenario: str) -> None
         params = compose("train", [f"+table={scenario}"], return_hydra_config=True).hydra.sweeper.params
     assert tested <= set(params["split"].split(","))
     assert oracles <= set(params["+row"].split(","))
+
+
+def test_a_table_is_trimmed_by_saying_what_is_wanted(tiny_data: Path, tmp_path: Path) -> None:
+    part = ("+table=collision", "split=all", "+row=copy_b,copy_c", "seed=0,1", f"hydra.sweep.dir={tmp_path}")
+    train(*part, data=tiny_data)
+    found = {(path.parts[-6], path.parts[-5], path.parts[-2]) for path in tmp_path.rglob("metrics.json")}
+    places = [f"seed{seed}+size-tiny+max_epochs-1" for seed in (0, 1)]
+    assert found == {("all", model, place) for model in ("copy_b", "copy_c") for place in places}

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from cophy.app.composition import settings
 from cophy.dataset.splits import SPLITS, Part, split_of_experiments
 
 
@@ -36,3 +37,13 @@ def test_seen_and_unseen_configurations_never_meet(tiny) -> None:
 def test_a_part_that_means_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="neither sphere nor cylinder"):
         Part(2, moving="cube")
+
+
+def test_every_split_tests_something_at_the_smallest_size(tiny) -> None:
+    """So that every table can be tried in seconds."""
+    spec, arrays = tiny
+    for name in spec.scenario.task.splits:
+        split = settings("train", f"scenario={spec.scenario.name}", f"split={name}").split
+        parts = {"train": split.train, "val": split.train, "test": split.test}
+        counts = {which: part.select_split(arrays, which).sum() for which, part in parts.items()}
+        assert min(counts.values()) > 0, (name, counts)

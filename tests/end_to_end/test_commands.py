@@ -28,7 +28,7 @@ def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: P
     content = json.loads((tmp_path / "metrics.json").read_text())
     assert set(content) == FIELDS
     assert content["scenario"] == name
-    assert content["num_train"] == 28
+    assert content["num_train"] == 30
     assert content["num_test"] == 4
     assert set(content["metrics"]) >= {"mse", "final_position_error", "stability_accuracy", "stability_base_rate"}
     assert set(content["intervals"]) == set(content["metrics"])
@@ -189,7 +189,7 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     assert {"val/centres", "val/clip"} <= set(curves.Tags()["images"])
 
     said = run("derender", "scenario=collision", "size=tiny", f"data_dir={tiny_data}", f"outputs={tmp_path}")
-    assert "40 experiments, 2 shards, all whole" in said
+    assert "44 experiments, 2 shards, all whole" in said
 
     for positions in ("derendered", "train_ground_truth_test_derendered"):
         train(*small, f"positions={positions}", data=tiny_data)

@@ -6,9 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from cophy.dataset.store.states import States
 from tests.commands import train
-from tests.conftest import tiny_spec
 
 RUN = "seed0+size-tiny+max_epochs-1"
 HALVES = ("scenario=balls", "trainer.max_epochs=1")
@@ -33,9 +31,7 @@ def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path
 
 
 def test_a_training_on_half_of_the_data_takes_twice_the_epochs(tiny_data: Path, tmp_path: Path) -> None:
-    arrays = States(tiny_spec("blocktower"), tiny_data).load()
-    tested = "3to3_seen" if arrays["seen"][arrays["split"] == 2].any() else "3to3_unseen"
-    train("trainer.max_epochs=1", f"split={tested}", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    train("trainer.max_epochs=1", "split=3to3_unseen", f"hydra.run.dir={tmp_path}", data=tiny_data)
     assert json.loads((tmp_path / "metrics.json").read_text())["max_epochs"] == 2
     assert torch.load(tmp_path / "checkpoints" / "last.ckpt", weights_only=True)["epoch"] == 1
 
@@ -50,11 +46,12 @@ def test_another_training_is_not_reused(tiny_data: Path, tmp_path: Path) -> None
 
 
 def test_a_failed_row_is_noted_and_the_others_run(tiny_data: Path, tmp_path: Path) -> None:
-    sweep = ("-m", "scenario=collision", "split=cylinder_to_sphere,all", "model=copy_b", f"hydra.sweep.dir={tmp_path}")
-    train(*sweep, data=tiny_data, code=1)  # tiny data hold no test experiment of the first split
-    assert "Traceback" not in next(tmp_path.glob("collision/cylinder_to_sphere/**/train.log")).read_text()
-    assert "leaves no test experiments" in json.loads(next(tmp_path.rglob("failure.json")).read_text())["error"]
-    assert [path.parts[-6] for path in tmp_path.rglob("metrics.json")] == ["all"]
+    seen = "positions=derendered,ground_truth"
+    sweep = ("-m", "scenario=collision", seen, "model=copy_b", f"hydra.sweep.dir={tmp_path}")
+    train(*sweep, data=tiny_data, code=1)  # there is no de-renderer yet
+    assert "Traceback" not in next(tmp_path.glob("collision/all/copy_b/full/derendered/**/train.log")).read_text()
+    assert "no de-renderer" in json.loads(next(tmp_path.rglob("failure.json")).read_text())["error"]
+    assert [path.parts[-3] for path in tmp_path.rglob("metrics.json")] == ["ground_truth"]
 
 
 @pytest.fixture
