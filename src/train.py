@@ -34,9 +34,12 @@ def main(cfg: DictConfig) -> float:
         variant=variant(cfg, choices),
         directory=Path(chosen.runtime.output_dir),
     )
+    plain = to_plain(cfg)
+    if choices["hydra/launcher"] != "basic":  # runs go side by side: their bars would overwrite each other
+        plain["trainer"] |= {"enable_progress_bar": False, "enable_model_summary": False}
     try:
         with claimed(run):
-            return run_configured(to_config(cfg, TrainConfig), to_plain(cfg), run)
+            return run_configured(to_config(cfg, TrainConfig), plain, run)
     except Exception as error:
         if chosen.mode is RunMode.MULTIRUN:  # the other runs go on; Hydra names only the first that failed
             log.error("%s failed: %s", run.place, error, exc_info=not cli.is_mendable(error))

@@ -3,7 +3,7 @@
 schemas: one dataclass per command, with the types and ranges of its keys.
 model_schemas: the same for the choices of `model=`.
 registration: makes the schemas known to Hydra.
-cli: runs a command; what the user can mend ends it with one line.
+cli: runs a command; what the user can mend ends it with one line, and a sweep with all runs that failed.
 composition: a configuration as the command line composes it, typed or not.
 variants: what a run changes beyond its names, in the name of its directory.
 datasets: the datasets that a configuration names.

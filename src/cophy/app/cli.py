@@ -1,17 +1,22 @@
 """Run a command; what the user can mend ends it with one line: what is wrong, where, and the nearest right spelling."""
 
+import json
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 from hydra.errors import HydraException, MissingConfigException
-from omegaconf import OmegaConf
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from cophy.errors import CophyError
+from cophy.training.runs.identity import FAILURE
 
 # how Hydra names a file of conf/ablation or conf/row that it cannot compose
 IN_A_FILE = re.compile(r"In '(ablation|row)/(\w+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)")
@@ -20,18 +25,43 @@ WITHOUT_GRIDS = re.compile(
     r"Could not override 'confounders'\. No match in the defaults list\..*\+(confounders=\S+)", re.DOTALL
 )
 
+_sweeps: list[tuple[Path, float]] = []  # of this process: the root of the runs, and when the sweep began
+
+
+class NoteSweep(Callback):
+    """Hydra calls it in the process that starts the runs (conf/train.yaml)."""
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Remember where the runs of this sweep go."""
+        _sweeps.append((Path(config.hydra.sweep.dir), time.time()))
+
 
 def run(main: Callable[[], Any]) -> None:
     """Run a Hydra main. An error that the user can mend becomes one line, any other keeps its traceback."""
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # let errors come here whole instead of being printed by Hydra
+    _sweeps.clear()
     try:
         main()
     except Exception as error:
         if not is_mendable(error):
             raise
-        sys.exit(f"{sys.argv[0]}: {explain(error)}")
+        failed = _failures()
+        sys.exit(f"{sys.argv[0]}: {_list(failed) if len(failed) > 1 else explain(error)}")
     except KeyboardInterrupt:
         sys.exit(f"{sys.argv[0]}: interrupted; finished shards and checkpoints are kept")
+
+
+def _failures() -> list[str]:
+    """A line for each run of this process's last sweep that failed: its directory, and why."""
+    if not _sweeps:
+        return []
+    root, began = _sweeps[-1]
+    found = [path for path in sorted(root.rglob(FAILURE)) if path.stat().st_mtime >= began]
+    return [f"{path.parent}: {json.loads(path.read_bytes())['error']}" for path in found]
+
+
+def _list(failed: list[str]) -> str:
+    return "\n    ".join([f"{len(failed)} runs failed; the same command makes them again", *failed])
 
 
 def is_mendable(error: Exception) -> bool:

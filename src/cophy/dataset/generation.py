@@ -37,7 +37,7 @@ def ensure(shards: ShardSet, *, workers: int) -> None:
 
 def make(shards: ShardSet, *, workers: int) -> None:
     """Make what is missing or damaged; several processes may ask for it at once, one works."""
-    if multiprocessing.parent_process() is not None:  # a worker imports the script that started it
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker imports the script that started it
         raise CophyError("put what your script runs under `if __name__ == '__main__':`, generation starts processes")
     with _explain_full_disk(shards), _locked(shards.directory):
         for leftover in shards.directory.glob("*.tmp"):
@@ -71,6 +71,8 @@ def _missing(shards: ShardSet) -> list[int]:
 def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
     total = sum(len(shards.spec.experiments_of_shard(shard)) for shard in missing)
     context = multiprocessing.get_context("spawn")
+    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
+        multiprocessing.set_start_method("spawn", force=True)  # a job of joblib: its "loky" is unknown to its children
     done = context.Value("q", 0)
     start, took = time.monotonic(), defaultdict[str, float](float)
     with (

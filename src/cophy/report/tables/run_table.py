@@ -12,8 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from cophy.errors import CophyError
-from cophy.training.runs.identity import differences, plain_value
-from cophy.training.runs.results import FAILURE, METRICS
+from cophy.training.runs.identity import FAILURE, METRICS, differences, plain_value
 
 log = logging.getLogger(__name__)
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from filelock import FileLock, Timeout
 
 from cophy.errors import CophyError
-from cophy.training.runs.identity import Run
-from cophy.training.runs.results import METRICS, forget_results, write_failure
+from cophy.training.runs.identity import METRICS, Run
+from cophy.training.runs.results import forget_results, write_failure
 
 
 @contextmanager

@@ -14,12 +14,11 @@ import numpy as np
 from cophy.atomic_files import write_atomically
 from cophy.bootstrap import Ratio, interval, mean
 from cophy.errors import CophyError
-from cophy.training.runs.identity import Run
+from cophy.training.runs.identity import FAILURE, METRICS, PREDICTIONS, Run
 from cophy.types import Prediction, Targets
 
 log = logging.getLogger(__name__)
 
-METRICS, PREDICTIONS, FAILURE = "metrics.json", "predictions.npz", "failure.json"
 SAID = (
     "mse",
     "twin_difference_explained",

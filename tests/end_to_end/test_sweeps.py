@@ -1,0 +1,30 @@
+"""Sweeps with runs side by side."""
+
+import json
+from pathlib import Path
+
+from cophy.dataset.store.states import States
+from tests.commands import train
+from tests.conftest import tiny_spec
+
+ROWS = ("-m", "scenario=collision", "hydra/launcher=local", "hydra.launcher.n_jobs=2")
+
+
+def test_runs_side_by_side_make_missing_data_once(tmp_path: Path) -> None:
+    places = (f"hydra.sweep.dir={tmp_path / 'outputs'}", "+row=copy_b,copy_c,in,npe")
+    printed = train(*ROWS, *places, data=tmp_path / "data", apart=True)
+    results = [json.loads(path.read_text()) for path in tmp_path.rglob("metrics.json")]
+    assert {content["model"] for content in results} == {"copy_b", "copy_c", "in", "npe"}
+    assert States(tiny_spec("collision"), tmp_path / "data").is_finished()
+    assert printed.count("simulations, ") == 1  # said by the one run that made them
+    assert "Done   4 out of   4" in printed
+    assert "Epoch 0" not in printed  # bars of several runs would overwrite each other
+
+
+def test_all_runs_that_failed_are_listed_at_the_end(tiny_data: Path, tmp_path: Path) -> None:
+    failing = (f"hydra.sweep.dir={tmp_path}", "+row=copy_b,in", "positions=derendered,ground_truth")
+    printed = train(*ROWS, *failing, data=tiny_data, code=1, apart=True).strip().splitlines()
+    assert printed[-3].endswith("train.py: 2 runs failed; the same command makes them again")
+    assert all("CophyError: no de-renderer of collision" in line for line in printed[-2:])
+    assert len(list(tmp_path.rglob("metrics.json"))) == 2
+    assert len(list(tmp_path.rglob("failure.json"))) == 2
