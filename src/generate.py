@@ -9,6 +9,8 @@ from cophy.app.datasets import generated_by
 from cophy.app.registration import register
 from cophy.app.schemas import GenerateConfig
 from cophy.dataset import generation
+from cophy.dataset.store.shardset import ShardSet
+from cophy.errors import CophyError
 
 register()
 
@@ -17,9 +19,21 @@ register()
 def main(cfg: DictConfig) -> None:
     settings = to_config(cfg, GenerateConfig)
     for states in generated_by(settings):
-        generation.make(states, workers=settings.workers)
-        if settings.render.modalities:
-            generation.make(states.frames(settings.render), workers=settings.workers)
+        _make(states, settings)
+        if not settings.render.modalities:
+            continue
+        if not states.is_finished():
+            raise CophyError(
+                f"{states.directory}: other parts are not whole yet; start again once they are, then pictures follow"
+            )
+        _make(states.frames(settings.render), settings)
+
+
+def _make(shards: ShardSet, settings: GenerateConfig) -> None:
+    if settings.parts == 1:
+        generation.make(shards, workers=settings.workers)
+    else:
+        generation.make_part(shards, settings.part, settings.parts, workers=settings.workers)
 
 
 if __name__ == "__main__":

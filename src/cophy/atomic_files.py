@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from uuid import uuid4
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -15,8 +16,11 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 @contextmanager
 def appearing_whole(path: Path) -> Iterator[Path]:
-    """A temporary name to write to; what was written is flushed and renamed at the end, or removed on failure."""
-    temporary = path.with_name(f"{path.name}.tmp")
+    """A temporary name to write to; what was written is flushed and renamed at the end, or removed on failure.
+
+    The name is nobody else's, so that two processes that write the same file, on whatever machines, do not meet.
+    """
+    temporary = path.with_name(f"{path.name}.{uuid4().hex[:8]}.tmp")
     try:
         yield temporary
         with open(temporary, "rb") as file:

@@ -58,9 +58,17 @@ class RenderDataConfig(MakeDataConfig):
 
 @dataclass
 class GenerateConfig(RenderDataConfig):
-    """generate.py. seed: a short name of data_seed."""
+    """generate.py. seed: a short name of data_seed. part, parts: only every `parts`-th shard is made, from `part` on."""
 
     seed: int = MISSING
+    part: int = MISSING
+    parts: int = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_least(1, parts=self.parts)
+        if not 0 <= self.part < self.parts:
+            raise ValueError(f"part={self.part} must be from 0 to parts - 1 = {self.parts - 1}")
 
 
 @dataclass

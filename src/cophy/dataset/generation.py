@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -42,21 +42,51 @@ def make(shards: ShardSet, *, workers: int) -> None:
     with _explain_full_disk(shards), _locked(shards.directory):
         for leftover in shards.directory.glob("*.tmp"):
             leftover.unlink()
-        missing = _missing(shards)
+        missing = _missing(shards, range(shards.spec.num_shards))
         if missing:
             for remark in shards.remarks():
                 log.warning(remark)
             _make(missing, shards, workers)
         if missing or not (shards.directory / MANIFEST).exists():
             shards.write_manifest()
+    _say_whole(shards)
+
+
+def make_part(shards: ShardSet, part: int, parts: int, *, workers: int) -> None:
+    """Make every `parts`-th shard, from `part` on; who makes the last of all vouches for the set.
+
+    For many processes, on whatever machines, over one file system. Nothing is locked: shards and manifest appear whole, and
+    have the same bytes whoever makes them.
+
+    Args:
+        shards: The set.
+        part: Which of the parts.
+        parts: How many there are.
+        workers: Processes.
+    """
+    every = range(shards.spec.num_shards)
+    shards.directory.mkdir(parents=True, exist_ok=True)
+    with _explain_full_disk(shards):
+        if missing := _missing(shards, every[part::parts]):
+            _make(missing, shards, workers)
+        if not all(shards.path(shard).exists() for shard in every) or _missing(shards, every):
+            log.info("%s: part %d of %d is whole, others are not yet", shards.directory, part, parts)
+            return
+        if missing or not (shards.directory / MANIFEST).exists():
+            shards.write_manifest()
+    _say_whole(shards)
+
+
+def _say_whole(shards: ShardSet) -> None:
     spec = shards.spec
     log.info("%s: %d experiments, %d shards, all whole", shards.directory, spec.num_experiments, spec.num_shards)
 
 
-def _missing(shards: ShardSet) -> list[int]:
+def _missing(shards: ShardSet, wanted: Iterable[int]) -> list[int]:
+    """Those of the wanted shards that are not there, or damaged."""
     checksums = shards.checksums() or {}
     missing = []
-    for shard in range(shards.spec.num_shards):
+    for shard in wanted:
         path = shards.path(shard)
         if path.exists():
             try:
