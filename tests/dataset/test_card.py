@@ -14,5 +14,5 @@ def test_the_card_says_how_to_load_a_dataset(tiny_data: Path) -> None:
         found: dict = {}
         code = textwrap.dedent(card[card.index("    import h5py") : card.index("Audit:")])
         exec(code.replace("shard-00000.h5", str(directory / "shard-00000.h5")), found)
-        assert found["states"].shape[:2] == (20, 2)
+        assert found["states"].shape[:2] == (24, 2)
         assert found["present"].shape == found["states"].shape[:2] + found["mass"].shape[1:]

@@ -42,7 +42,7 @@ def test_a_part_mends_its_own_shards_and_waits_for_others(tmp_path: Path) -> Non
 def test_jobs_side_by_side_make_one_dataset(tiny_data: Path, tmp_path: Path) -> None:
     of_both = ("scenario=collision", "size=tiny", "part=0,1", "parts=2", "workers=1", f"data_dir={tmp_path}")
     printed = run_apart("generate", "-m", *of_both, "hydra/launcher=local", "hydra.launcher.n_jobs=2")
-    assert "44 experiments, 2 shards, all whole" in printed
+    assert "48 experiments, 2 shards, all whole" in printed
     assert contents(states(tmp_path).directory) == contents(states(tiny_data).directory)
 
 

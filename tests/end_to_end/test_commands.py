@@ -28,7 +28,7 @@ def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: P
     content = json.loads((tmp_path / "metrics.json").read_text())
     assert set(content) == FIELDS
     assert content["scenario"] == name
-    assert content["num_train"] == 30
+    assert content["num_train"] == 34
     assert content["num_test"] == 4
     assert set(content["metrics"]) >= {"mse", "final_position_error", "stability_accuracy", "stability_base_rate"}
     assert set(content["intervals"]) == set(content["metrics"])
@@ -106,7 +106,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     assert not (tmp_path / "elsewhere" / "difficulty.md").exists()
     row = next(line for line in markdown.splitlines() if line.startswith("| 3→3 "))
     assert row.count("—") == 3 + 4 * 2  # IN, NPE, IN sup.; four oracles, for which the paper has no number either
-    assert "Size tiny: 28 training and 4 test experiments; 1 epochs; seeds 0." in markdown
+    assert "Size tiny: 34 training and 4 test experiments; 1 epochs; seeds 0." in markdown
     assert (
         (tmp_path / "report" / "blocktower.csv")
         .read_text()
@@ -189,7 +189,7 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     assert {"val/centres", "val/clip"} <= set(curves.Tags()["images"])
 
     said = run("derender", "scenario=collision", "size=tiny", f"data_dir={tiny_data}", f"outputs={tmp_path}")
-    assert "44 experiments, 2 shards, all whole" in said
+    assert "48 experiments, 2 shards, all whole" in said
 
     for positions in ("derendered", "train_ground_truth_test_derendered"):
         train(*small, f"positions={positions}", data=tiny_data)

@@ -34,4 +34,4 @@ def test_estimates_of_other_pictures_are_made_again(
         estimates.load()
     for path in copied.directory.glob("*"):
         path.unlink()
-    assert estimates.load()["position"].shape == (40, 2, 15, 4, 3)  # pictures may go once they were seen
+    assert estimates.load()["position"].shape == (48, 2, 15, 4, 3)  # pictures may go once they were seen

@@ -10,7 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from cophy.dataset.audit.checks import Arrays, Check, tolerance
-from cophy.dataset.replay import do_operation_of, scene_of, trajectories_of
+from cophy.dataset.replay import do_operation_of, scene_of
 from cophy.dataset.spec import DatasetSpec
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.physics.scene import Scene, Trajectory, trajectory_distance
@@ -61,8 +61,11 @@ def _agreements(
     """For both twins: whether all configurations with the same AB agree on whether CD stands, and on its trajectory."""
     scenario, rows = spec.scenario, (2 * pair, 2 * pair + 1)
     scene = scene_of(arrays, rows[0], scenario)
-    truth = [trajectories_of(arrays, row) for row in rows]
     own = arrays["configuration"][list(rows)].tolist()
+    # the truth is simulated from the stored A, too: falls amplify its rounding
+    a = [scenario.under(configuration, scene) for configuration in own]
+    after = [do_operation_of(arrays, row, scenario).apply(each) for row, each in zip(rows, a, strict=True)]
+    truth = [[scenario.simulate(simulator, start) for start in starts] for starts in zip(a, after, strict=True)]
     tried = np.array(_all_or_neighbours(spec, own, enumerated))
     stands, own_stand = _stand(scenario, scene, tried), _stand(scenario, scene, np.array(own))
     falling = _alike(scenario, scene, tried[~stands].tolist(), [observed for observed, _ in truth], simulator)
