@@ -47,9 +47,9 @@ class PredictionFigures(L.Callback):
         with torch.no_grad():
             assert isinstance(pl_module.dtype, torch.dtype)
             prediction = pl_module(moved(self.shown, pl_module.device, pl_module.dtype))
-        targets = self.shown.targets
+        prediction, targets = moved(prediction, torch.device("cpu"), torch.float32), self.shown.targets
         initial, predicted, true, presence = (
-            tensor.cpu().numpy()
+            tensor.numpy()
             for tensor in (targets.initial, prediction.position, targets.position, targets.presence)
         )
         error = error_over_time(predicted, true, presence, dims=task.metric_dims)

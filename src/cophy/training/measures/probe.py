@@ -53,7 +53,7 @@ def probe(train: Probed, test: Probed) -> dict[str, np.ndarray]:
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
-    fitted, tested = (each.estimate[each.targets.observed_presence].numpy() for each in (train, test))
+    fitted, tested = (each.estimate[each.targets.observed_presence].float().numpy() for each in (train, test))
     seen, asked = (_classes(each.targets) for each in (train, test))
 
     def per_experiment(right: np.ndarray) -> np.ndarray:
