@@ -49,8 +49,7 @@ class PredictionFigures(L.Callback):
             prediction = pl_module(moved(self.shown, pl_module.device, pl_module.dtype))
         prediction, targets = moved(prediction, torch.device("cpu"), torch.float32), self.shown.targets
         initial, predicted, true, presence = (
-            tensor.numpy()
-            for tensor in (targets.initial, prediction.position, targets.position, targets.presence)
+            tensor.numpy() for tensor in (targets.initial, prediction.position, targets.position, targets.presence)
         )
         error = error_over_time(predicted, true, presence, dims=task.metric_dims)
         colors = list(self.scenario.colors.values())
