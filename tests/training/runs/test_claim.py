@@ -1,5 +1,6 @@
 """Runs that want the same directory."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ def run(tmp_path: Path) -> Run:
 
 
 def finish(run: Run) -> None:
+    run.directory.mkdir(exist_ok=True)
     write_metrics(run, Measured({"mse": np.array([1.0, 3.0])}, np.array([0, 0])), {})
 
 
@@ -44,6 +46,18 @@ def test_the_results_of_another_run_are_not_replaced(run: Run) -> None:
         raise AssertionError("replaced")
     assert (run.directory / "metrics.json").exists()
     assert not (run.directory / "failure.json").exists()
+
+
+def test_results_without_a_variant_are_those_of_their_names(run: Run) -> None:
+    finish(run)
+    path = run.directory / "metrics.json"
+    content = json.loads(path.read_text())
+    del content["variant"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(CophyError, match=r"is of another run \(seed=1\)"), claimed(replace(run, seed=2)):
+        raise AssertionError("replaced")
+    with claimed(run):
+        assert not path.exists()
 
 
 def test_what_fails_leaves_a_note(run: Run) -> None:

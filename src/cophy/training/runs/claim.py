@@ -36,7 +36,7 @@ def claimed(run: Run) -> Iterator[None]:
 def _check_own(run: Run) -> None:
     path = run.directory / METRICS
     try:
-        content = json.loads(path.read_bytes())
+        content = {"variant": "", **json.loads(path.read_bytes())}  # earlier versions did not write it
         others = {key: content[key] for key, value in run.names().items() if content[key] != value}
     except FileNotFoundError:
         return
