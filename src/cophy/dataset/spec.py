@@ -9,7 +9,7 @@ from typing import Any
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
-FORMAT_VERSION = 3  # raise it when the arrays of a shard, or the experiments an index stands for, change
+FORMAT_VERSION = 3  # raise it when the arrays of a shard change, or the experiments of every scenario do
 
 
 @dataclass
@@ -61,8 +61,10 @@ class DatasetSpec:
     def generating_configuration(self) -> dict[str, Any]:
         """Everything the bytes depend on, as plain values. `task` only says how predictions are judged."""
         scenario = {key: value for key, value in asdict(self.scenario).items() if key != "task"}
+        searched = self.scenario.search_version()
         return {
             "format": FORMAT_VERSION,
+            **({"search": searched} if searched > 1 else {}),  # so that data of a first version keep their id
             "scenario": scenario,
             "num_objects": self.num_objects,
             "num_experiments": self.num_experiments,

@@ -32,6 +32,10 @@ class Blocktower(Scenario):
     fallen_distance: float  # a tower has fallen once a block is this far from where it started
 
     @classmethod
+    def search_version(cls) -> int:
+        return 2
+
+    @classmethod
     def known_do_operations(cls) -> tuple[str, ...]:
         return ("displace_x", "displace_y", "remove_top")
 

@@ -63,6 +63,11 @@ class Scenario(ABC):
         return len(self.colors)
 
     @classmethod
+    def search_version(cls) -> int:
+        """Raised when other experiments are found for the same index, with the same configuration."""
+        return 1
+
+    @classmethod
     @abstractmethod
     def known_do_operations(cls) -> tuple[str, ...]:
         """Names allowed in `do_operations`."""

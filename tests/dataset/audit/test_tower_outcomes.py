@@ -1,5 +1,6 @@
 """Labels and outcomes of towers that do not agree are named."""
 
+import numpy as np
 import pytest
 
 from cophy.dataset.audit.tower_outcomes import towers
@@ -47,5 +48,19 @@ def test_an_a_that_leaves_open_whether_c_stands_is_caught(tiny) -> None:
     changed = arrays["states"].copy()
     changed[:, 0, :, :, :2] = 0.0
     assert "on paper AB tells whether C stands" in failing(
+        towers(arrays | {"states": changed}, spec, spec.scenario.statics)
+    )
+
+
+def test_a_block_that_should_fall_and_stays_is_caught(tiny) -> None:
+    spec, arrays = tiny
+    if spec.scenario.name != "blocktower":
+        pytest.skip("towers only")
+    changed = arrays["states"].copy()
+    both_fall = np.char.startswith(np.array(spec.scenario.cells())[arrays["cell"]], "both_fall")
+    top = (arrays["object_index"] == spec.num_objects - 1) & both_fall[:, None]
+    rows, slots = np.nonzero(top)
+    changed[rows, 0, :, slots] = changed[rows, 0, :1, slots]
+    assert "in A all blocks fall that are sure to fall on paper" in failing(
         towers(arrays | {"states": changed}, spec, spec.scenario.statics)
     )

@@ -57,18 +57,19 @@ def test_a_tower_without_its_top_has_the_masses_of_what_is_left(scenario_of) -> 
     np.testing.assert_array_equal(left, by_hand.min(axis=-1))
 
 
-def test_a_tower_falls_from_its_lowest_joint_that_gives_way(scenario_of) -> None:
+def test_a_tower_is_sure_to_fall_from_its_highest_joint_that_gives_way(scenario_of) -> None:
     statics = scenario_of("blocktower").statics
     upright = Combinations(np.ones((1, 3)), LEVEL)
     xy = np.array(
         [
             [[0, 0], [0, 0], [0, 0]],
             [[0, 0], [0, 0], [0.6, 0]],
-            [[0, 0], [0.4, 0], [0.9, 0]],
+            [[0, 0], [0.4, 0], [0.85, 0]],
             [[0, 0], [0.3, 0], [0.9, 0]],
         ]
     )
-    assert statics.falls_from(xy, np.zeros((4, 3)), upright)[:, 0].tolist() == [3, 2, 1, 1]
+    # the last two fail at the middle joint; in the last the top goes first, and may leave the middle block standing
+    assert statics.falls_from(xy, np.zeros((4, 3)), upright)[:, 0].tolist() == [3, 2, 1, 2]
     assert (statics.margins(xy, np.zeros((4, 3)), upright) > 0)[:, 0].tolist() == [True, False, False, False]
 
 

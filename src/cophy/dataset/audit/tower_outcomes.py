@@ -7,7 +7,7 @@ import numpy as np
 from cophy.dataset.audit.checks import Arrays, Check, none_wrong, tolerance
 from cophy.dataset.audit.first_frames import geometry_of, slots_in_order
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.state_features import stands
+from cophy.dataset.state_features import in_place, stands
 from cophy.scenario.physics.statics import Combinations, TowerStatics
 from cophy.scenario.search.settled import settled
 
@@ -92,6 +92,11 @@ def _statics(arrays: Arrays, statics: TowerStatics, standing: np.ndarray) -> Ite
     yield Check("statics agree, under the stored masses and gravity", f"{share:.1%}", bool(share == 1))
     tells = np.take_along_axis(settled(falls_from, counterfactual_stands, combinations), own, axis=1).mean()
     yield Check("on paper AB tells whether C stands", f"{tells:.1%}", bool(tells >= MIN_SETTLED))
+    # such a block tells its mass in AB, so it has to move
+    sure = np.arange(slots.shape[1]) >= np.take_along_axis(falls_from, own, axis=1)
+    stays = np.take_along_axis(in_place(arrays, statics.fallen_distance)[:, 0], slots, axis=1)
+    fell = (sure <= ~stays).all(axis=1).mean()
+    yield Check("in A all blocks fall that are sure to fall on paper", f"{fell:.1%}", bool(fell >= MIN_SETTLED))
 
 
 def _stability(name: str, values: np.ndarray, standing: np.ndarray) -> Check:

@@ -61,7 +61,10 @@ class TowerStatics:
         return np.asarray(self._joint_margins(xy, yaw, combinations).min(axis=-1))
 
     def falls_from(self, xy: np.ndarray, yaw: np.ndarray, combinations: Combinations) -> np.ndarray:
-        """The lowest block that falls, with all above it, under each combination.
+        """The lowest block that is sure to fall, with all above it, under each combination.
+
+        It lies on the highest joint that fails. Where lower joints fail too, the blocks between may stay: they are
+        relieved once those above have gone.
 
         Args:
             xy: (tower, level, 2) block centres, metres.
@@ -71,8 +74,10 @@ class TowerStatics:
         Returns:
             (tower, combination) its level from the ground up; the number of levels where the tower stands.
         """
-        falls = self._joint_margins(xy, yaw, combinations) <= 0
-        return np.asarray(np.where(falls.any(axis=-1), falls.argmax(axis=-1), xy.shape[1]))
+        num_levels = xy.shape[1]
+        fails = self._joint_margins(xy, yaw, combinations) <= 0
+        highest = num_levels - 1 - fails[..., ::-1].argmax(axis=-1)
+        return np.asarray(np.where(fails.any(axis=-1), highest, num_levels))
 
     def _joint_margins(self, xy: np.ndarray, yaw: np.ndarray, combinations: Combinations) -> np.ndarray:
         mass = combinations.mass[:, : xy.shape[1]]

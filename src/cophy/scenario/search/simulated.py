@@ -18,7 +18,7 @@ from cophy.scenario.physics.simulator import Simulator
 from cophy.scenario.scenario import Scenario
 from cophy.scenario.search.assignment import Assignment
 
-# how hard the search tries; other values find other experiments, so raise dataset.spec.FORMAT_VERSION with them
+# how hard the search tries; other values find other experiments, so raise `Scenario.search_version` with them
 SCENES_PER_ROUND = (
     10  # with each second configuration in turn: some never fit, for one ball left alone tells no masses apart
 )

@@ -17,7 +17,7 @@ from cophy.scenario.physics.statics import Combinations, TowerStatics
 from cophy.scenario.search.settled import settled
 from cophy.scenario.search.towers import TowerCell, Towers
 
-# how hard the search tries; other values find other experiments, so raise dataset.spec.FORMAT_VERSION with them
+# how hard the search tries; other values find other experiments, so raise `Scenario.search_version` with them
 NUM_TOWERS_PER_BATCH = 1024
 NUM_VARIANTS_PER_TOWER = 48
 MAX_BATCHES_PER_CONFIGURATION = 40

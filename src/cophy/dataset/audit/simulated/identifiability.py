@@ -22,7 +22,7 @@ MAX_ENUMERATED = 1000  # ours: configurations; more of them would take minutes f
 ALIKE_M = 0.05  # ours: AB of two configurations look alike below this trajectory distance, to eyes that see to 5 cm
 BEGINNINGS = (0.2, 0.4)  # ours: shares of AB after which configurations are dropped that cannot look alike any more
 MIN_IDENTIFIED = 0.9  # ours: a twentieth of all towers stand in AB and fall in CD; how they fall is left open
-MIN_OUTCOMES = 0.98  # ours: all by statics, but now and then a tower falls by fewer blocks than on paper
+MIN_OUTCOMES = 0.98  # ours: all by statics, but A and C are stored rounded
 
 
 def identifiability(arrays: Arrays, spec: DatasetSpec, pairs: int) -> Iterator[Check]:
