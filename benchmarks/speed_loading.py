@@ -41,7 +41,7 @@ def epoch_of_towers() -> CounterfactualDataset:
 def epoch(experiments: CounterfactualDataset, step: Step) -> Callable[[], object]:
     """The step with every batch of the default size."""
     batch_size = settings("train").training.batch_size
-    return lambda: [step(batch) for batch in experiments.loader(batch_size, shuffle=True)]
+    return lambda: [step(batch) for batch in experiments.shuffled(batch_size)]
 
 
 def frames() -> list[Measured]:

@@ -113,10 +113,10 @@ def whole_epochs(batch_size: int) -> list[float]:
 
     def lightning() -> None:
         with tempfile.TemporaryDirectory() as directory:
-            quiet_trainer(directory).fit(module, data.loader(batch_size, shuffle=True))
+            quiet_trainer(directory).fit(module, data.shuffled(batch_size))
 
     def bare() -> None:
-        for each in data.loader(batch_size, shuffle=True):
+        for each in data.shuffled(batch_size):
             step(each)
 
     return paired(lightning, bare)

@@ -16,7 +16,7 @@ DTYPES = {"32-true": torch.float32, "64-true": torch.float64, "bf16-mixed": torc
 
 
 def loader(batch: Batch) -> DataLoader[Batch]:
-    return CounterfactualDataset(batch).loader(16, shuffle=False)
+    return CounterfactualDataset(batch).in_order(16)
 
 
 @pytest.mark.parametrize("precision", DTYPES)

@@ -3,6 +3,7 @@
 Nothing deeper in the package sees the whole of it.
 """
 
+import logging
 import math
 import time
 from pathlib import Path
@@ -20,6 +21,7 @@ from cophy.dataset.feed.frame_datamodule import FrameDataModule
 from cophy.dataset.store.forecasts import OracleSettings
 from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
+from cophy.training.runs.devices import is_first
 from cophy.training.runs.execution import Plan, carry_out
 from cophy.training.runs.identity import Run
 from cophy.training.runs.oracle import carry_out_oracle
@@ -43,6 +45,8 @@ def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> fl
         What a sweep optimises, see `optimized_metric` in conf/train.yaml; NaN where nothing was trained.
     """
     started = time.monotonic()
+    if not is_first():  # what there is to say, the first process says
+        logging.getLogger("cophy").setLevel(logging.WARNING)
     torch.set_num_threads(settings.threads)
     L.seed_everything(settings.seed, workers=True, verbose=False)
     if isinstance(settings.model, OracleConfig):
@@ -92,6 +96,7 @@ def _frames(settings: TrainConfig, resolution: int) -> FrameDataModule:
         data_seed=settings.data_seed,
         batch_size=settings.training.batch_size,
         workers=settings.workers,
+        seed=settings.seed,
     )
 
 
@@ -114,6 +119,7 @@ def _experiments(settings: TrainConfig, run: Run, declared: DeclaredInputs) -> C
         test_set=test_set,
         batch_size=settings.training.batch_size,
         workers=settings.workers,
+        seed=settings.seed,
         derenderer=_derenderer(settings, run) if estimated else None,
         estimated=estimated,
         declared=declared,

@@ -2,17 +2,29 @@
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cophy.dataset.feed.batch_order import ALONE, Share
 from cophy.types import HORIZONTAL, POSE_ANGLES, Batch
 
 
-def augment(batch: Batch, symmetries: Float[Tensor, "symmetry 2 2"]) -> Batch:
-    """Apply to each experiment one of the symmetries, drawn at random."""
-    choice = torch.randint(len(symmetries), (len(batch),), device=symmetries.device)
-    return transform(batch, symmetries[choice])
+def augment(
+    batch: Batch, symmetries: Float[Tensor, "symmetry 2 2"], draw: tuple[int, ...], share: Share = ALONE
+) -> Batch:
+    """Apply to each experiment one of the symmetries, drawn at random.
+
+    Args:
+        batch: This device's share of the experiments of a step.
+        symmetries: Of their scenario.
+        draw: The choice follows from it alone: seed, epoch and step, so that a resumed training makes the same one.
+        share: Of this device.
+    """
+    rng = np.random.default_rng(draw)
+    choice = rng.integers(len(symmetries), size=share.devices * len(batch))[share.rank :: share.devices]
+    return transform(batch, symmetries[torch.from_numpy(choice).to(symmetries.device)])
 
 
 def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:

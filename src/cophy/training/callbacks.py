@@ -139,6 +139,6 @@ class ResumeHint(L.Callback):
 
     def on_exception(self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException) -> None:
         if self.checkpoint.exists():
-            log.warning("stopped in epoch %d: go on with ckpt=%s", trainer.current_epoch, self.checkpoint)
+            log.warning("stopped in epoch %d: the same command goes on from %s", trainer.current_epoch, self.checkpoint)
         else:
             log.warning("stopped in epoch %d, before the first checkpoint", trainer.current_epoch)

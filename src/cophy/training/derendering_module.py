@@ -13,6 +13,7 @@ from torchmetrics import MetricCollection
 
 from cophy.dataset.feed.frame_dataset import FrameBatch
 from cophy.models.derenderer import Derendered, Derenderer
+from cophy.training.measures.gathering import of_all_devices
 from cophy.training.measures.metrics import PerExperiment, collection, over_objects
 from cophy.training.optimisation import adam_with_cosine
 from cophy.training.settings import Training
@@ -49,13 +50,12 @@ class DerenderingModule(L.LightningModule):
         found = self(batch.image)
         average = found._replace(position=self.network.mean.expand_as(found.position))
         values = {name: measure(found, batch) for name, measure in MEASURES.items()}
-        self._test_steps.append(values | {"mean_position_error": euclidean_error(average, batch)})
+        values["mean_position_error"] = euclidean_error(average, batch)
+        self._test_steps.append({name: value.cpu() for name, value in values.items()})
 
     def on_test_epoch_end(self) -> None:
-        self.tested = {
-            name: torch.cat([step[name] for step in self._test_steps]).double().cpu().numpy()
-            for name in self._test_steps[0]
-        }
+        steps = of_all_devices(self._test_steps)
+        self.tested = {name: torch.cat([step[name] for step in steps]).double().numpy() for name in steps[0]}
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         return adam_with_cosine(self, self.training_settings.learning_rate)
@@ -69,7 +69,14 @@ class DerenderingModule(L.LightningModule):
         position = squared_error(found, batch).mean()
         logit = found.presence_logit
         presence = binary_cross_entropy_with_logits(logit, batch.presence.to(logit.dtype))
-        self.log(f"{split}/loss", position + presence, on_step=False, on_epoch=True, batch_size=len(batch.image))
+        self.log(
+            f"{split}/loss",
+            position + presence,
+            on_step=False,
+            on_epoch=True,
+            batch_size=len(batch.image),
+            sync_dist=True,
+        )
         return position + presence
 
 

@@ -10,10 +10,12 @@ from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
 from torch import Tensor, nn
 from torchmetrics import MetricCollection
 
+from cophy.dataset.feed.batch_order import Share
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.training.augmentation import augment
 from cophy.training.losses import confounder_loss, position_loss, stability_loss
+from cophy.training.measures.gathering import of_all_devices
 from cophy.training.measures.metrics import collection, position_measures, stability_measures
 from cophy.training.measures.twin_metrics import have_twins, twin_collection
 from cophy.training.model_contract import NOT_FINITE, check_shapes, estimate_dim
@@ -41,6 +43,7 @@ class PredictionModule(L.LightningModule):
         *,
         symmetries: np.ndarray,
         missed_position: Float[Tensor, "3"],
+        seed: int = 0,
     ) -> None:
         """Wrap a network.
 
@@ -50,9 +53,10 @@ class PredictionModule(L.LightningModule):
             scenario: How predictions are judged, and the values of confounders.
             symmetries: (symmetry, 2, 2) matrices, by which training experiments are turned at random.
             missed_position: Where an object is predicted that the de-renderer missed in C, metres.
+            seed: Of the training: how experiments are turned follows from it, the epoch and the step.
         """
         super().__init__()
-        self.network, self.training_settings = network, training
+        self.network, self.training_settings, self.seed = network, training, seed
         self.register_buffer("missed_position", missed_position, persistent=False)
         self.register_buffer("symmetries", torch.from_numpy(symmetries).float(), persistent=False)
         self.confounder_heads = _confounder_heads(network, scenario) if training.confounder_weight else None
@@ -69,9 +73,10 @@ class PredictionModule(L.LightningModule):
         missed = (batch.targets.presence & ~batch.inputs.presence)[:, None, :, None]
         return replace(prediction, position=torch.where(missed, self.missed_position, prediction.position))
 
-    def training_step(self, batch: Batch) -> Tensor:
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        draw = self.seed, self.current_epoch, batch_idx
         with torch.autocast(self.device.type, enabled=False):  # positions keep their precision in mixed training
-            batch = augment(batch, self.symmetries)
+            batch = augment(batch, self.symmetries, draw, Share.of(self.trainer))
         prediction = self(batch)
         self._measure("train", prediction, batch)
         return self._loss("train", prediction, batch)
@@ -91,7 +96,7 @@ class PredictionModule(L.LightningModule):
         self._test_steps.append((map_tensors(_kept, self(batch)), map_tensors(_kept, batch)))
 
     def on_test_epoch_end(self) -> None:
-        predictions, batches = zip(*self._test_steps, strict=True)
+        predictions, batches = zip(*of_all_devices(self._test_steps), strict=True)
         self.tested = (
             map_tensors(lambda *parts: torch.cat(parts), *predictions),
             map_tensors(lambda *parts: torch.cat(parts), *batches),
@@ -111,7 +116,7 @@ class PredictionModule(L.LightningModule):
             terms["confounder_loss"] = settings.confounder_weight, confounder_loss(logits, targets)
         loss = torch.stack([weight * value for weight, value in terms.values()]).sum()
         values = {f"{split}/{name}": value for name, (_, value) in terms.items()} | {f"{split}/loss": loss}
-        self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch))
+        self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
         return loss
 
     def _measure(self, split: str, prediction: Prediction, batch: Batch) -> None:

@@ -12,6 +12,7 @@ from torch.utils.data import DataLoader
 
 from cophy.dataset import generation
 from cophy.dataset.feed.appearance_features import with_appearance
+from cophy.dataset.feed.batch_order import Share
 from cophy.dataset.feed.batches import to_batch, with_estimates
 from cophy.dataset.feed.confounder_features import confounder_features, confounder_statistics, standardised
 from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
@@ -42,6 +43,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         test_set: ExperimentSet,
         batch_size: int,
         workers: int,
+        seed: int = 0,
         derenderer: Sees | None = None,
         estimated: Sequence[str] = (),
         declared: DeclaredInputs | None = None,
@@ -53,8 +55,9 @@ class CounterfactualDataModule(L.LightningDataModule):
             split: Which experiments are trained on, and which are tested on.
             train_set: The experiments of which some are trained and validated on.
             test_set: The experiments of which some are tested on; may be the same.
-            batch_size: Experiments in a batch.
+            batch_size: Experiments in a batch, of all devices together.
             workers: Processes that make missing data.
+            seed: Of the training: the order of the training experiments follows from it and the epoch.
             derenderer: Whose estimates of AB and C are seen instead of true positions, or None.
             estimated: Names of the splits of which only the estimates are seen.
             declared: Which optional inputs the model is given; None for none of them.
@@ -64,7 +67,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         split.check_scenario(train_set.spec.scenario)
         self.split, self.scenario = split, train_set.spec.scenario
         self.train_set, self.test_set = train_set, test_set
-        self.batch_size, self.workers = batch_size, workers
+        self.batch_size, self.workers, self.seed = batch_size, workers, seed
         self.derenderer, self.estimated = derenderer, estimated
         self.declared, self.needs_confounders = declared or DeclaredInputs(), needs_confounders
 
@@ -107,18 +110,13 @@ class CounterfactualDataModule(L.LightningDataModule):
         self.train, self.val, self.test = (CounterfactualDataset(batches[split]) for split in SPLITS)
 
     def train_dataloader(self) -> DataLoader[Batch]:
-        return self.train.loader(self.batch_size, shuffle=True)
+        return self.train.shuffled(self.batch_size, seed=self.seed, share=Share.of(self.trainer))
 
     def val_dataloader(self) -> DataLoader[Batch]:
-        return self.val.loader(self._even_batch_size, shuffle=False)
+        return self.val.in_order(self.batch_size, share=Share.of(self.trainer))
 
     def test_dataloader(self) -> DataLoader[Batch]:
-        return self.test.loader(self._even_batch_size, shuffle=False)
-
-    @property
-    def _even_batch_size(self) -> int:
-        """Twins follow each other in a dataset, and stay in one batch."""
-        return self.batch_size + self.batch_size % 2
+        return self.test.in_order(self.batch_size, share=Share.of(self.trainer))
 
     def _select(self, arrays: dict[str, Arrays], split: str) -> Arrays:
         experiments, part = self._set_of(split), self.split.test if split == "test" else self.split.train

@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import lightning as L
+import numpy as np
 from torch.utils.data import DataLoader
 
+from cophy.dataset.feed.batch_order import Share, in_order, shuffled
 from cophy.dataset.feed.frame_dataset import FrameBatch, FrameDataset
 from cophy.dataset.splits import SPLITS
 from cophy.dataset.store.experiment_set import ExperimentSet
@@ -32,6 +34,7 @@ class FrameDataModule(L.LightningDataModule):
         data_seed: int,
         batch_size: int,
         workers: int,
+        seed: int = 0,
     ) -> None:
         """Note what is wanted; nothing is read yet.
 
@@ -41,13 +44,14 @@ class FrameDataModule(L.LightningDataModule):
             resolution: Edge of the images that the de-renderer sees, pixels.
             num_images: Frames to train on; a tenth of it to validate, and as many to test on.
             data_seed: Says which frames are chosen.
-            batch_size: Frames in a batch.
+            batch_size: Frames in a batch, of all devices together.
             workers: Processes that make missing data, and that read frames.
+            seed: Of the training: the order of the training frames follows from it and the epoch.
         """
         super().__init__()
         self.sets, self.scenario = sets, sets[0].spec.scenario
         self.render, self.resolution, self.num_images = render, resolution, num_images
-        self.data_seed, self.batch_size, self.workers = data_seed, batch_size, workers
+        self.data_seed, self.batch_size, self.workers, self.seed = data_seed, batch_size, workers, seed
 
     @property
     def dataset_ids(self) -> list[str]:
@@ -77,20 +81,25 @@ class FrameDataModule(L.LightningDataModule):
         )
 
     def train_dataloader(self) -> DataLoader[FrameBatch]:
-        return self._loader(self.train, shuffle=True)
+        batches = shuffled(self.train, self.batch_size, seed=self.seed, share=Share.of(self.trainer))
+        # the sampler itself, so that Lightning tells it the epoch
+        return self._loader(self.train, sampler=batches.sampler, batch_size=batches.batch_size)
 
     def val_dataloader(self) -> DataLoader[FrameBatch]:
-        return self._loader(self.val, shuffle=False)
+        return self._in_order(self.val)
 
     def test_dataloader(self) -> DataLoader[FrameBatch]:
-        return self._loader(self.test, shuffle=False)
+        return self._in_order(self.test)
 
-    def _loader(self, frames: FrameDataset, *, shuffle: bool) -> DataLoader[FrameBatch]:
+    def _in_order(self, frames: FrameDataset) -> DataLoader[FrameBatch]:
+        batches = in_order(np.arange(len(frames)), self.batch_size, Share.of(self.trainer))
+        return self._loader(frames, batch_sampler=batches)
+
+    def _loader(self, frames: FrameDataset, **batches: Any) -> DataLoader[FrameBatch]:
         return DataLoader(
             frames,
-            batch_size=self.batch_size,
-            shuffle=shuffle,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
             multiprocessing_context="fork" if self.workers else None,  # loky, joblib's own, cannot start loaders
+            **batches,
         )

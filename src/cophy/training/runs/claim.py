@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from filelock import FileLock, Timeout
 
 from cophy.errors import CophyError
+from cophy.training.runs.devices import is_first
 from cophy.training.runs.identity import METRICS, Run
 from cophy.training.runs.results import forget_results, write_failure
 
@@ -18,6 +19,9 @@ def claimed(run: Run) -> Iterator[None]:
     Raises:
         CophyError: Another process is making this run, or the directory holds the results of another run.
     """
+    if not is_first():  # the first process claims it for all
+        yield
+        return
     run.directory.mkdir(parents=True, exist_ok=True)
     try:
         lock = FileLock(run.directory / ".lock", timeout=0).acquire()

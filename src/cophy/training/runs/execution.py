@@ -1,16 +1,20 @@
 """Carry a run out: train (or adopt a training that was the same), test the best checkpoint, write the results."""
 
 import logging
+import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import lightning as L
+from lightning.pytorch.callbacks import Timer
+from lightning.pytorch.utilities.exceptions import SIGTERMException
 
 from cophy.errors import CophyError
 from cophy.training.callbacks import BestValidation
 from cophy.training.runs import reuse
+from cophy.training.runs.devices import first_decides, is_first, meet
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import write_metrics
 from cophy.training.runs.reuse import Trained
@@ -48,6 +52,13 @@ class Plan:
         return bool(self.trainer["fast_dev_run"])
 
 
+class Watched(NamedTuple):
+    """What a training is asked for when it ends; both remember across stops."""
+
+    best_epoch: BestValidation
+    timer: Timer
+
+
 def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, float]:
     """Train, test and write the results.
 
@@ -60,19 +71,22 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
     Returns:
         The validation metrics of the epoch whose weights were tested; nothing from a trial, or where nothing is trained.
     """
-    best_epoch = BestValidation()
-    trainer = make_trainer(run, origin, [stage.figures, best_epoch], plan.trainer)
+    watched = Watched(BestValidation(), Timer())
+    trainer = make_trainer(run, origin, [stage.figures, *watched], plan.trainer)
+    meet(trainer)
     assert trainer.logger is not None  # TensorBoard, or of a trial one that does nothing
     trainer.logger.log_hyperparams(compared(run, origin, plan.trainer), {"test/mse": float("nan")})
-    best, trained = None, Trained(0.0, {})
+    best, trained = None, Trained(0.0, {}, 0)
     if stage.learns:
-        trained = _train(trainer, best_epoch, run, stage, plan, origin)
+        trained = _train(trainer, watched, run, stage, plan, origin)
         best = None if plan.is_trial else run.checkpoints / "best.ckpt"
     elif plan.resume is not None:
         raise CophyError(f"ckpt={plan.resume}: {run.model} has nothing to train or to restore")
     trainer.test(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
     if plan.is_trial:
         return {}
+    if not is_first():
+        return trained.validation
     about = {
         "dataset_ids": stage.data.dataset_ids,
         "derenderer": stage.derenderer,
@@ -80,6 +94,7 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
         "num_test": len(stage.data.test),
         "max_epochs": plan.trainer["max_epochs"],
         "training_seconds": trained.seconds,
+        "resumed": trained.resumed,
         "validation": trained.validation,
     }
     measured = stage.measure()
@@ -100,21 +115,32 @@ def compared(run: Run, origin: Origin, trainer: dict[str, Any]) -> dict[str, Any
     return run.names() | flatten({"model": origin.model, "training": origin.training, "trainer": trainer})
 
 
-def _train(
-    trainer: L.Trainer, best_epoch: BestValidation, run: Run, stage: Stage, plan: Plan, origin: Origin
-) -> Trained:
-    """Fit, or adopt the checkpoints of a training that was the same."""
+def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: Plan, origin: Origin) -> Trained:
+    """Fit, go on where the same training was stopped, or adopt the checkpoints of one that was the same."""
     network = stage.module.network
     of_training = reuse.fingerprint(network, origin, trainer=plan.trainer, seed=plan.seed, threads=plan.threads)
-    anew = plan.resume is None and not plan.is_trial
-    if plan.reuse and anew and (found := reuse.find_checkpoints(run, of_training)) is not None:
-        log.info("trained already, on the same data with the same settings: %s (reuse=false trains again)", found)
-        return reuse.adopt(found, run)
-    if plan.resume is None:
-        reuse.forget_checkpoints(run)
-    start = time.monotonic()
-    trainer.fit(stage.module, stage.data, ckpt_path=plan.resume, weights_only=True)
-    trained = Trained(round(time.monotonic() - start, 1), best_epoch.metrics)
-    if anew:
+    own = plan.resume is None and not plan.is_trial
+
+    def start() -> Trained | int:
+        if not own:
+            return 1
+        if plan.reuse and (found := reuse.find_checkpoints(run, of_training)) is not None:
+            log.info("trained already, on the same data with the same settings: %s (reuse=false trains again)", found)
+            return reuse.adopt(found, run)
+        return reuse.begin(run, of_training, anew=not plan.reuse)
+
+    known = first_decides(trainer, start)
+    if isinstance(known, Trained):
+        return known
+    resume = plan.resume
+    if own and known:
+        resume = run.checkpoints / "last.ckpt"
+        log.info("goes on where it was stopped: %s (reuse=false trains again)", resume)
+    try:
+        trainer.fit(stage.module, stage.data, ckpt_path=resume, weights_only=True)
+    except SIGTERMException as error:
+        raise SystemExit(128 + signal.SIGTERM) from error  # as of a process that it ends
+    trained = Trained(round(watched.timer.time_elapsed(), 1), watched.best_epoch.metrics, known)
+    if own and is_first():
         reuse.record(run, of_training, trained)
     return trained

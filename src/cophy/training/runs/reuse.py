@@ -1,6 +1,7 @@
-"""Train once what several runs share: 3to3 and 3to4, for example, differ only in what they are tested on.
+"""Train once what several runs share, and go on with what was stopped.
 
-A finished training leaves its fingerprint, a hash of all that its weights depend on, beside its checkpoints.
+3to3 and 3to4, for example, differ only in what they are tested on. A training leaves its fingerprint, a hash of all that its
+weights depend on, beside its checkpoints: when it begins, and when it is finished.
 """
 
 import hashlib
@@ -14,23 +15,32 @@ import torch
 from torch import nn
 
 import cophy
+from cophy.atomic_files import write_atomically
 from cophy.training.runs.identity import Run
 from cophy.training.trained.checkpoints import Origin
 
-FINISHED = "finished.json"
+FINISHED, BEGUN = "finished.json", "begun.json"
+KEYS = {FINISHED: {"fingerprint", "training_seconds", "validation", "resumed"}, BEGUN: {"fingerprint", "resumed"}}
 CHECKPOINTS = ("best.ckpt", "last.ckpt")
 # keys of `trainer` that no weight depends on
-WITHOUT_EFFECT = {"enable_progress_bar", "enable_model_summary", "log_every_n_steps", "limit_test_batches", "profiler"}
+WITHOUT_EFFECT = {
+    *("enable_progress_bar", "enable_model_summary", "log_every_n_steps", "limit_test_batches", "profiler"),
+    *("accelerator", "devices", "num_nodes", "strategy"),  # they round otherwise, no more
+}
 # rooms of the package that no weight depends on: they only show what others computed. All others count, also those of
 # which only a part does: a training too many costs minutes, a stale checkpoint a wrong table
 SHOWING = ("drawing", "report")
 
 
 class Trained(NamedTuple):
-    """A finished training: how many seconds it took, and the validation metrics of its best epoch."""
+    """A finished training.
+
+    seconds: how many it took. validation: the metrics of its best epoch. resumed: how often it was stopped and went on.
+    """
 
     seconds: float
     validation: dict[str, float]
+    resumed: int
 
 
 def fingerprint(network: nn.Module, origin: Origin, *, trainer: dict[str, Any], seed: int, threads: int) -> str:
@@ -66,9 +76,29 @@ def find_checkpoints(run: Run, wanted: str) -> Path | None:
         places += sorted(run.root.glob(str(Path(scenario, "*", model, ablation, "*", seed))))
     for place in places:
         checkpoints = place / "checkpoints"
-        if _read(checkpoints).get("fingerprint") == wanted and all((checkpoints / c).is_file() for c in CHECKPOINTS):
+        if _read(checkpoints, FINISHED).get("fingerprint") == wanted and _whole(checkpoints):
             return checkpoints
     return None
+
+
+def begin(run: Run, wanted: str, *, anew: bool) -> int:
+    """Note that a training begins in the run's directory, or goes on there: with this fingerprint, after it was stopped.
+
+    Args:
+        run: The run.
+        wanted: Fingerprint of its training.
+        anew: Whether it begins in any case.
+
+    Returns:
+        How often it was stopped before; 0 where it begins, and then nothing of an earlier one is left.
+    """
+    known = _read(run.checkpoints, BEGUN)
+    goes_on = not anew and known.get("fingerprint") == wanted and _whole(run.checkpoints)
+    if not goes_on:
+        forget_checkpoints(run)
+    resumed = known["resumed"] + 1 if goes_on else 0
+    _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
+    return int(resumed)
 
 
 def adopt(found: Path, run: Run) -> Trained:
@@ -78,13 +108,13 @@ def adopt(found: Path, run: Run) -> Trained:
         run.checkpoints.mkdir(parents=True, exist_ok=True)
         for name in (*CHECKPOINTS, FINISHED):
             shutil.copyfile(found / name, run.checkpoints / name)
-    about = _read(run.checkpoints)
-    return Trained(float(about["training_seconds"]), about["validation"])
+    about = _read(run.checkpoints, FINISHED)
+    return Trained(float(about["training_seconds"]), about["validation"], int(about["resumed"]))
 
 
 def forget_checkpoints(run: Run) -> None:
     """Before training anew: what lies there is not what will be tested."""
-    for name in (FINISHED, "best.ckpt"):
+    for name in (FINISHED, BEGUN, *CHECKPOINTS):
         (run.checkpoints / name).unlink(missing_ok=True)
 
 
@@ -96,20 +126,26 @@ def record(run: Run, wanted: str, trained: Trained) -> None:
         wanted: Fingerprint of its training.
         trained: What is known of it.
     """
-    content = {"fingerprint": wanted, "training_seconds": trained.seconds, "validation": trained.validation}
-    (run.checkpoints / FINISHED).write_text(json.dumps(content) + "\n")
+    about = {"training_seconds": trained.seconds, "validation": trained.validation, "resumed": trained.resumed}
+    _write(run.checkpoints, FINISHED, {"fingerprint": wanted, **about})
+    (run.checkpoints / BEGUN).unlink(missing_ok=True)
 
 
-def _read(checkpoints: Path) -> dict[str, Any]:
+def _whole(checkpoints: Path) -> bool:
+    return all((checkpoints / name).is_file() for name in CHECKPOINTS)
+
+
+def _write(checkpoints: Path, name: str, content: dict[str, Any]) -> None:
+    checkpoints.mkdir(parents=True, exist_ok=True)
+    write_atomically(checkpoints / name, (json.dumps(content) + "\n").encode())
+
+
+def _read(checkpoints: Path, name: str) -> dict[str, Any]:
     try:
-        content = json.loads((checkpoints / FINISHED).read_bytes())
+        content = json.loads((checkpoints / name).read_bytes())
     except (OSError, ValueError):
         return {}
-    return (
-        content
-        if isinstance(content, dict) and {"fingerprint", "training_seconds", "validation"} <= content.keys()
-        else {}
-    )
+    return content if isinstance(content, dict) and KEYS[name] <= content.keys() else {}
 
 
 def _hash_of_sources(network: nn.Module) -> str:

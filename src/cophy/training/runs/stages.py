@@ -77,7 +77,9 @@ def prediction_stage(
     """
     scenario = data.scenario
     symmetries = scenario.symmetries() if training.augmentation else scenario.symmetries()[:1]
-    module = PredictionModule(network, training, scenario, symmetries=symmetries, missed_position=data.mean_position)
+    module = PredictionModule(
+        network, training, scenario, symmetries=symmetries, missed_position=data.mean_position, seed=data.seed
+    )
 
     def measure() -> Measured:
         prediction, batch = module.tested

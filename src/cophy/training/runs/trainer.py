@@ -9,11 +9,14 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from cophy.errors import CophyError
 from cophy.training.callbacks import ResumeHint, SaveOrigin
+from cophy.training.runs.devices import plugins
 from cophy.training.runs.identity import Run
 from cophy.training.trained.checkpoints import Origin
 
 # the whole data set lies in memory and is sliced: Lightning's advice to add workers does not apply
 warnings.filterwarnings("ignore", ".*does not have many workers.*")
+warnings.filterwarnings("ignore", "The `srun` command is available.*")  # runs on a cluster are started by submitit
+warnings.filterwarnings("ignore", "Checkpoint directory .* exists and is not empty")  # it is the run's own
 warnings.filterwarnings("ignore", ".*LeafSpec.*")  # of Lightning 2.6 with torch 2.13, nothing a user can do
 
 
@@ -46,6 +49,13 @@ def make_trainer(run: Run, origin: Origin, watching: list[L.Callback], arguments
         ResumeHint(run.checkpoints / "last.ckpt"),
     ]
     try:
-        return L.Trainer(logger=tensorboard(run), callbacks=callbacks, default_root_dir=run.directory, **arguments)
+        return L.Trainer(
+            logger=tensorboard(run),
+            callbacks=callbacks,
+            default_root_dir=run.directory,
+            plugins=plugins(),
+            use_distributed_sampler=False,  # the datamodules share batches among devices themselves
+            **arguments,
+        )
     except TypeError as error:  # an argument that Lightning does not have, given with +trainer.
         raise CophyError(f"trainer: {error}") from error

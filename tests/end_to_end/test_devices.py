@@ -1,0 +1,47 @@
+"""A run on two devices is the run on one: every experiment counts once, and the numbers are the same."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.commands import train
+
+ON_TWO = ("trainer.devices=2", "trainer.strategy=ddp", "trainer.accelerator=cpu")
+
+
+def left(outputs: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    """metrics.json and predictions.npz of the only run."""
+    (metrics,) = outputs.rglob("metrics.json")
+    with np.load(metrics.with_name("predictions.npz")) as file:
+        return json.loads(metrics.read_text()), dict(file)
+
+
+@pytest.mark.parametrize("size", ["", "size.num_experiments.collision.2=50"], ids=["even", "uneven"])
+def test_two_processes_leave_what_one_does(tiny_data: Path, tmp_path: Path, size: str) -> None:
+    keys = ("scenario=collision", "model=in", "trainer.max_epochs=2", *([size] if size else []))
+    said = train(*keys, *ON_TWO, f"source.outputs={tmp_path / 'two'}", data=tiny_data, apart=True)
+    assert "sync_dist" not in said
+    two, predicted = left(tmp_path / "two")
+    train(*keys, f"source.outputs={tmp_path / 'one'}", data=tiny_data)
+    one, _ = left(tmp_path / "one")
+    assert two["num_test"] == len(predicted["pair"]) == one["num_test"]
+    assert two["validation"] == pytest.approx(one["validation"], abs=1e-4)  # two trainings, rounded otherwise
+    again = train(*keys, f"source.outputs={tmp_path / 'two'}", data=tiny_data)
+    assert "trained already" in again  # the same run; its checkpoint is tested by one process
+    tested, told = left(tmp_path / "two")
+    assert tested["metrics"] == pytest.approx(two["metrics"], abs=1e-6)
+    assert tested["intervals"].keys() == two["intervals"].keys()
+    for name, values in told.items():
+        np.testing.assert_allclose(predicted[name], values, atol=1e-6)
+
+
+def test_a_sweep_of_runs_on_two_devices_is_refused(tiny_data: Path, tmp_path: Path) -> None:
+    sweep = ("-m", "scenario=collision", "model=in", "seed=0,1", f"hydra.sweep.dir={tmp_path}")
+    assert "one command for each run" in train(*sweep, *ON_TWO, data=tiny_data, code=1)
+
+
+def test_a_batch_that_devices_cannot_share_is_refused(tiny_data: Path, tmp_path: Path) -> None:
+    keys = ("scenario=collision", "model=in", "training.batch_size=63", f"hydra.run.dir={tmp_path}")
+    assert "batch_size=63 cannot be shared by 2 devices" in train(*keys, *ON_TWO, data=tiny_data, code=1, apart=True)

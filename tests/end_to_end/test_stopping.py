@@ -1,0 +1,57 @@
+"""A training that is stopped goes on to the result it would have had, by the same command."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.commands import train
+from tests.conftest import ROOT
+
+EPOCHS = 40
+KEYS = ("scenario=collision", "model=in", f"trainer.max_epochs={EPOCHS}")
+TIMES = {"training_seconds", "wall_seconds", "resumed"}  # all else that a run leaves is the same
+
+
+def result(directory: Path) -> dict:
+    return json.loads((directory / "metrics.json").read_text())
+
+
+def stopped(directory: Path, data: Path, how: signal.Signals) -> int:
+    """Start the training, stop it after a further epoch, and return its exit code."""
+    command = [sys.executable, str(ROOT / "src/train.py"), *KEYS, "size=tiny", f"data_dir={data}"]
+    last = directory / "checkpoints" / "last.ckpt"
+    before = last.stat().st_mtime_ns if last.exists() else 0
+    process = subprocess.Popen([*command, f"hydra.run.dir={directory}"], stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and (not last.exists() or last.stat().st_mtime_ns == before):
+        time.sleep(0.01)
+    process.send_signal(how)
+    _, said = process.communicate(timeout=60)
+    assert not (directory / "metrics.json").exists(), said
+    assert "Traceback" not in said
+    return process.returncode
+
+
+def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(tiny_data: Path, tmp_path: Path) -> None:
+    train(*KEYS, f"hydra.run.dir={tmp_path / 'whole'}", data=tiny_data)
+    part = tmp_path / "part"
+    assert stopped(part, tiny_data, signal.SIGTERM) == 128 + signal.SIGTERM
+    assert stopped(part, tiny_data, signal.SIGKILL) == -signal.SIGKILL
+    printed = train(*KEYS, f"hydra.run.dir={part}", data=tiny_data)
+    assert f"goes on where it was stopped: {part / 'checkpoints' / 'last.ckpt'}" in printed
+    whole, resumed = result(tmp_path / "whole"), result(part)
+    assert (whole["resumed"], resumed["resumed"]) == (0, 2)
+    assert {key: whole[key] for key in whole.keys() - TIMES} == {key: resumed[key] for key in resumed.keys() - TIMES}
+    assert "trained already" in train(*KEYS, f"hydra.run.dir={part}", data=tiny_data)
+    assert result(part)["resumed"] == 2
+
+
+@pytest.mark.parametrize("other", ["training.learning_rate=0.003", "reuse=false"])
+def test_another_training_does_not_go_on_with_it(tiny_data: Path, tmp_path: Path, other: str) -> None:
+    stopped(tmp_path, tiny_data, signal.SIGKILL)
+    assert "goes on" not in train(*KEYS, other, f"hydra.run.dir={tmp_path}", data=tiny_data)
+    assert result(tmp_path)["resumed"] == 0
