@@ -23,7 +23,11 @@ test *args: setup
 
 # run the long tests too
 test-slow *args: setup
-    {{bin}}/pytest -m 'slow or not slow' {{args}}
+    {{bin}}/pytest -m 'not cluster' {{args}}
+
+# run the tests on a SLURM of one node; Debian: slurmctld slurmd slurm-client
+test-cluster *args: setup
+    {{bin}}/pytest -m cluster -rs {{args}} tests/cluster
 
 # format, lint and type checks
 check: setup
