@@ -26,7 +26,8 @@ def main(cfg: DictConfig) -> None:
     else:
         counts = set(settings.split.counts(settings.num_objects))
         derenderer = find_derenderer(Path(settings.outputs), settings.scenario.name, counts, settings.split.name)
-    derender(chosen, derenderer, workers=settings.workers)
+    part, parts = settings.part, settings.parts
+    derender(chosen, derenderer, part=part, parts=parts, workers=settings.workers)
 
 
 if __name__ == "__main__":

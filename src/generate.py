@@ -1,5 +1,7 @@
 """Generate the datasets a split needs: python src/generate.py scenario=balls size=small"""
 
+from collections.abc import Iterator
+
 import hydra
 from omegaconf import DictConfig
 
@@ -9,7 +11,9 @@ from cophy.app.datasets import generated_by
 from cophy.app.registration import register
 from cophy.app.schemas import GenerateConfig
 from cophy.dataset import generation
+from cophy.dataset.store.experiment_set import OracleSettings
 from cophy.dataset.store.shardset import ShardSet
+from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 
 register()
@@ -19,21 +23,22 @@ register()
 def main(cfg: DictConfig) -> None:
     settings = to_config(cfg, GenerateConfig)
     for states in generated_by(settings):
-        _make(states, settings)
-        if not settings.render.modalities:
-            continue
-        if not states.is_finished():
-            raise CophyError(
-                f"{states.directory}: other parts are not whole yet; start again once they are, then pictures follow"
-            )
-        _make(states.frames(settings.render), settings)
+        for shards in asked_for(states, settings):
+            if not (shards is states or states.is_finished()):
+                raise CophyError(
+                    f"{states.directory}: other parts are not whole yet; run the same command once they are"
+                )
+            generation.make_part(shards, settings.part, settings.parts, workers=settings.workers)
 
 
-def _make(shards: ShardSet, settings: GenerateConfig) -> None:
-    if settings.parts == 1:
-        generation.make(shards, workers=settings.workers)
-    else:
-        generation.make_part(shards, settings.part, settings.parts, workers=settings.workers)
+def asked_for(states: States, settings: GenerateConfig) -> Iterator[ShardSet]:
+    """The states, and what is made of them."""
+    yield states
+    if settings.render.modalities:
+        yield states.frames(settings.render)
+    if settings.model is not None:
+        oracle = settings.model
+        yield states.forecasts(OracleSettings(oracle.draws, oracle.max_configurations, oracle.noise))
 
 
 if __name__ == "__main__":

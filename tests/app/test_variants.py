@@ -1,6 +1,7 @@
 """What a run changes beyond its names."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from cophy.app.composition import composed
 from cophy.app.variants import LONGEST, variant
 from tests.commands import train
+
+PATIENT = "training.callbacks.early_stopping.patience=20"
 
 
 def variant_of(*overrides: str) -> str:
@@ -42,6 +45,13 @@ def test_choices_come_first_then_keys_in_their_order() -> None:
     assert variant_of("scenario=collision", "confounders=text") == "+confounders-text"
     assert variant_of("split.epochs_factor=3") == "+epochs_factor-3"
     assert variant_of("scenario.confounders.mass=[1,2]") == "+mass-1.0_2.0"
+    assert variant_of("training.learning_rate=0.002") == "+learning_rate-0.002"  # which the optimiser repeats
+    assert variant_of("training.optimizer.lr=0.002") == "+lr-0.002"
+    assert variant_of("optimizer=adamw", "schedule=constant") == "+optimizer-adamw+schedule-constant"
+    stopping = variant_of("callbacks=early_stopping")
+    assert re.fullmatch(r"\+early_stopping-\w{6}", stopping)
+    assert stopping == variant_of("callbacks=[early_stopping]") != variant_of("callbacks=early_stopping", PATIENT)
+    assert variant_of("logger=[tensorboard,csv]") == ""
     assert variant_of("+trainer.accumulate_grad_batches=2") == "+accumulate_grad_batches-2"
 
 

@@ -49,3 +49,17 @@ def test_jobs_side_by_side_make_one_dataset(tiny_data: Path, tmp_path: Path) -> 
 def test_a_part_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     printed = run("generate", "scenario=collision", "size=tiny", "part=2", "parts=2", f"data_dir={tmp_path}", code=1)
     assert "part=2 must be from 0 to parts - 1 = 1" in printed
+
+
+def test_what_oracles_say_is_made_in_parts_too(tmp_path: Path) -> None:
+    few = ("scenario=collision", "size=tiny", "model=oracle_feedforward", "model.draws=4", "model.max_configurations=4")
+    for name, parts in (("whole", [("part=0", "parts=1")]), ("parts", [("part=0", "parts=2"), ("part=1", "parts=2")])):
+        data = f"data_dir={tmp_path / name}"
+        run("generate", "scenario=collision", "size=tiny", data)
+        for part in parts:
+            run("generate", *few, *part, data)
+    whole, made = (next((tmp_path / name).rglob("oracles-*")) for name in ("whole", "parts"))
+    assert len(contents(whole)) == 3
+    assert contents(made) == contents(whole)
+    printed = run("generate", "scenario=collision", "size=tiny", "model=cophynet", f"data_dir={tmp_path}", code=1)
+    assert "model: only what an oracle says" in printed

@@ -1,6 +1,7 @@
 """The commands of the README on tiny data."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +9,13 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from cophy.training.trained.trained_derenderer import TrainedDerenderer
 from tests.commands import run, train
 from tests.conftest import SCENARIOS
 
 FIELDS = {
     "scenario", "split", "model", "ablation", "positions", "seed", "size", "variant", "validation",
-    "dataset_ids", "derenderer", "max_epochs", "num_train", "num_test", "training_seconds", "wall_seconds", "metrics", "intervals",
+    "dataset_ids", "derenderer", "max_epochs", "num_train", "num_test", "training_seconds", "resumed", "wall_seconds", "metrics", "intervals",
 }  # fmt: skip
 
 
@@ -188,8 +190,16 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     curves.Reload()
     assert {"val/centres", "val/clip"} <= set(curves.Tags()["images"])
 
-    said = run("derender", "scenario=collision", "size=tiny", f"data_dir={tiny_data}", f"outputs={tmp_path}")
+    derender = ("derender", "scenario=collision", "size=tiny", f"data_dir={tiny_data}", f"outputs={tmp_path}")
+    said = run(*derender)
     assert "48 experiments, 2 shards, all whole" in said
+    (estimates,) = tiny_data.rglob(f"derendered-{TrainedDerenderer(row / 'checkpoints' / 'best.ckpt').name}")
+    whole = {path.name: path.read_bytes() for path in estimates.iterdir() if path.suffix in (".h5", ".json")}
+    shutil.rmtree(estimates)
+    assert "part 1 of 2 is whole, others are not yet" in run(*derender, "part=1", "parts=2")
+    run(*derender, "part=0", "parts=2")
+    assert len(whole) == 3
+    assert {name: (estimates / name).read_bytes() for name in whole} == whole
 
     for positions in ("derendered", "train_ground_truth_test_derendered"):
         train(*small, f"positions={positions}", data=tiny_data)

@@ -1,7 +1,10 @@
 """Sweeps with runs side by side."""
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
+
+import pytest
 
 from cophy.dataset.store.states import States
 from tests.commands import train
@@ -28,3 +31,10 @@ def test_all_runs_that_failed_are_listed_at_the_end(tiny_data: Path, tmp_path: P
     assert all("CophyError: no de-renderer of collision" in line for line in printed[-2:])
     assert len(list(tmp_path.rglob("metrics.json"))) == 2
     assert len(list(tmp_path.rglob("failure.json"))) == 2
+
+
+@pytest.mark.skipif(find_spec("submitit") is None, reason="not installed: pip install -e '.[cluster]'")
+def test_without_slurm_its_launcher_says_so(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    jobs = ("-m", "scenario=collision", "model=copy_c", "hydra/launcher=slurm", f"hydra.sweep.dir={tmp_path}")
+    assert "there is no srun here" in train(*jobs, data=tiny_data, code=1)

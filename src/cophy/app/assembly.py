@@ -55,7 +55,7 @@ def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> fl
     resume = None if settings.ckpt is None else Path(settings.ckpt)
     stage, origin = _stage(settings, plain, run, resume)
     trainer = with_epochs(plain["trainer"], stage.epochs_factor)
-    plan = Plan(trainer, settings.seed, settings.threads, settings.reuse, resume, started)
+    plan = Plan(trainer, settings.logger, settings.seed, settings.threads, settings.reuse, resume, started)
     validation, wanted = carry_out(run, stage, plan, origin), settings.optimized_metric
     if validation and wanted not in validation:
         raise CophyError(f"optimized_metric={wanted} is not among {', '.join(sorted(validation))}")
@@ -151,4 +151,4 @@ def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, run: Run, sta
     data.prepare_data()
     data.setup()
     asked = OracleSettings(oracle.draws, oracle.max_configurations, oracle.noise)
-    carry_out_oracle(run, data, oracle.oracle, asked, started=started)
+    carry_out_oracle(run, data, oracle.oracle, asked, loggers=settings.logger, started=started)

@@ -25,6 +25,12 @@ WITHOUT_GRIDS = re.compile(
     r"Could not override 'confounders'\. No match in the defaults list\..*\+(confounders=\S+)", re.DOTALL
 )
 
+# how submitit and Hydra name a machine that cannot start jobs
+WITHOUT_SLURM = {
+    'Could not detect "srun"': "hydra/launcher=slurm: there is no srun here, so this is no node of a SLURM cluster",
+    "Could not load 'hydra/launcher/submitit_slurm'": "hydra/launcher=slurm needs a package: pip install -e '.[cluster]'",
+}
+
 _sweeps: list[tuple[Path, float]] = []  # of this process: the root of the runs, and when the sweep began
 
 
@@ -67,13 +73,17 @@ def _list(failed: list[str]) -> str:
 def is_mendable(error: Exception) -> bool:
     """Whether the person at the terminal can mend it, so that one line is enough."""
     of_a_file = isinstance(error, OSError) and error.filename is not None
-    return of_a_file or isinstance(error, HydraException | OmegaConfBaseException | CophyError)
+    return (
+        of_a_file or isinstance(error, HydraException | OmegaConfBaseException | CophyError) or _of_slurm(error) != ""
+    )
 
 
 def explain(error: BaseException) -> str:
     """One line for an error that is mendable."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
+    if slurm := _of_slurm(error):
+        return slurm
     if file := IN_A_FILE.match(str(error)):
         return _explain_file(*file.group(1, 2, 3))
     if choice := WITHOUT_GRIDS.match(str(error)):
@@ -85,6 +95,10 @@ def explain(error: BaseException) -> str:
         what = (cause.msg or str(cause)).splitlines()[0]
         return f"{cause.full_key or cause.key}: {what}{_suggest(str(cause.key), _siblings(cause))}"
     return " ".join(line.strip() for line in str(error).splitlines() if line.strip())
+
+
+def _of_slurm(error: BaseException) -> str:
+    return next((said for met, said in WITHOUT_SLURM.items() if met in str(error)), "")
 
 
 def _explain_file(group: str, name: str, what: str) -> str:

@@ -3,11 +3,12 @@
 Scenario, split, size, source, render, model and trainer are groups of conf/.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from omegaconf import MISSING
 
+from cophy.app.model_schemas import OracleConfig
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
@@ -58,17 +59,18 @@ class RenderDataConfig(MakeDataConfig):
 
 @dataclass
 class GenerateConfig(RenderDataConfig):
-    """generate.py. seed: a short name of data_seed. part, parts: only every `parts`-th shard is made, from `part` on."""
+    """generate.py. seed: a short name of data_seed. model: None, or an oracle. part, parts: see `_check_part`."""
 
     seed: int = MISSING
     part: int = MISSING
     parts: int = MISSING
+    model: Any = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _at_least(1, parts=self.parts)
-        if not 0 <= self.part < self.parts:
-            raise ValueError(f"part={self.part} must be from 0 to parts - 1 = {self.parts - 1}")
+        _check_part(self.part, self.parts)
+        if not (self.model is None or isinstance(self.model, OracleConfig)):
+            raise ValueError("model: only what an oracle says (model=oracle_feedforward) is kept beside data")
 
 
 @dataclass
@@ -113,11 +115,20 @@ class ExportConfig(RenderDataConfig):
 
 @dataclass
 class DerenderConfig(MakeDataConfig):
-    """derender.py. derenderer: a checkpoint, None for the one that fits among the runs in `outputs`."""
+    """derender.py. derenderer: a checkpoint, None for the one that fits among the runs in `outputs`.
+
+    part, parts: see `_check_part`.
+    """
 
     source: Source = MISSING
     derenderer: str | None = None
     outputs: str = MISSING
+    part: int = MISSING
+    parts: int = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_part(self.part, self.parts)
 
 
 @dataclass
@@ -153,13 +164,14 @@ class TrainConfig(RenderDataConfig):
     """train.py. seed: of the training. render, num_images, num_objects: what a de-renderer is trained on.
 
     derenderer: checkpoint of the one whose estimates a predictor sees; None finds it in outputs/. model: a schema of
-    `model_schemas`, or any keys for a model of one's own.
+    `model_schemas`, or any keys for a model of one's own. logger: a `_target_` and its arguments each.
     """
 
     source: Source = MISSING
     model: Any = MISSING
     training: Training = MISSING
     trainer: TrainerConfig = MISSING
+    logger: dict[str, Any] = field(default_factory=dict)
     positions: str = MISSING
     num_images: int = MISSING
     derenderer: str | None = None
@@ -201,6 +213,13 @@ class ReportConfig:
     outputs: str = MISSING
     data_dir: str = MISSING
     directory: str = MISSING
+
+
+def _check_part(part: int, parts: int) -> None:
+    """Only every `parts`-th shard is made, from `part` on."""
+    _at_least(1, parts=parts)
+    if not 0 <= part < parts:
+        raise ValueError(f"part={part} must be from 0 to parts - 1 = {parts - 1}")
 
 
 def _at_least(smallest: int, **values: int) -> None:

@@ -6,6 +6,7 @@ where it is the value of a key (`ckpt=`, `derenderer=`), so the name has neither
 """
 
 import hashlib
+import json
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ from cophy.app.composition import composed
 from cophy.training.runs.identity import differences, plain_value
 
 NAMES = ("scenario", "split", "model", "ablation", "source")  # groups whose choices are parts of the path
-CHOICES = ("size", "confounders", "trainer")  # groups whose choice says more than the keys that it sets
+CHOICES = ("size", "confounders", "trainer", "optimizer", "schedule")  # groups whose choice says more than its keys
 COMPARED = ("size", "data_seed", "scenario", "split", "model", "training", "trainer", "derenderer")
 OF_DERENDERERS = ("render", "num_images", "num_objects")
 LONGEST = 100  # characters; file systems allow 255
@@ -41,6 +42,7 @@ def variant(config: DictConfig, choices: Mapping[str, Any]) -> str:
     found = dict(
         pair for key in keys for pair in differences(key, plain_value(config, key), plain_value(expected, key))
     )
+    found = {key: value for key, value in found.items() if not _refers(config, key) or not _refers(expected, key)}
     last = Counter(key.rpartition(".")[2] for key in found)
     changed = [(key if last[short := key.rpartition(".")[2]] > 1 else short, found[key]) for key in sorted(found)]
     own = [(group, choices[group]) for group in groups]
@@ -50,8 +52,17 @@ def variant(config: DictConfig, choices: Mapping[str, Any]) -> str:
     return f"+{text}" if text else ""
 
 
+def _refers(config: DictConfig, key: str) -> bool:
+    """Whether it only repeats another key, as training.optimizer.lr does."""
+    parent, _, name = key.rpartition(".")
+    node = OmegaConf.select(config, parent) if parent else config
+    return isinstance(node, DictConfig) and name in node and OmegaConf.is_interpolation(node, name)
+
+
 def _readable(value: Any) -> str:
-    """A value as part of the name of a directory."""
+    """A value as part of the name of a directory; of one that has keys of its own, a hash."""
+    if isinstance(value, dict):
+        return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:6]
     return re.sub(r"[^\w.-]+", "_", str(value)).strip("_")
 
 

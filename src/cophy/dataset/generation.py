@@ -61,9 +61,12 @@ def make_part(shards: ShardSet, part: int, parts: int, *, workers: int) -> None:
     Args:
         shards: The set.
         part: Which of the parts.
-        parts: How many there are.
+        parts: How many there are; the only part is made as `make` does.
         workers: Processes.
     """
+    if parts == 1:
+        make(shards, workers=workers)
+        return
     every = range(shards.spec.num_shards)
     shards.directory.mkdir(parents=True, exist_ok=True)
     with _explain_full_disk(shards):

@@ -41,8 +41,8 @@ class PredictionFigures(L.Callback):
         self.shown, self.scenario, self.every_n_epochs = shown, scenario, every_n_epochs
 
     def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        logger, task, clock = trainer.logger, self.scenario.task, self.scenario.clock
-        if not _is_time(trainer, self.every_n_epochs) or not isinstance(logger, TensorBoardLogger):
+        logger, task, clock = _tensorboard(trainer), self.scenario.task, self.scenario.clock
+        if not _is_time(trainer, self.every_n_epochs) or logger is None:
             return
         with torch.no_grad():
             assert isinstance(pl_module.dtype, torch.dtype)
@@ -74,8 +74,8 @@ class DerenderingFigures(L.Callback):
         self.frames, self.scenario, self.every_n_epochs = frames, scenario, every_n_epochs
 
     def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        logger, camera = trainer.logger, self.scenario.camera
-        if not _is_time(trainer, self.every_n_epochs) or not isinstance(logger, TensorBoardLogger):
+        logger, camera = _tensorboard(trainer), self.scenario.camera
+        if not _is_time(trainer, self.every_n_epochs) or logger is None:
             return
         count = len(self.frames)
         chosen = np.linspace(0, count - 1, min(NUM_FRAMES_SHOWN, count)).astype(int)
@@ -96,6 +96,10 @@ def _derender(module: L.LightningModule, image: Tensor) -> tuple[np.ndarray, np.
     with torch.no_grad():
         found = module(image.to(module.device))
     return image.permute(0, 2, 3, 1).numpy(), found.position.cpu().numpy(), (found.presence_logit > 0).cpu().numpy()
+
+
+def _tensorboard(trainer: L.Trainer) -> TensorBoardLogger | None:
+    return next((logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)), None)
 
 
 def _is_time(trainer: L.Trainer, every_n_epochs: int) -> bool:

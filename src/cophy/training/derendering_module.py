@@ -15,7 +15,7 @@ from cophy.dataset.feed.frame_dataset import FrameBatch
 from cophy.models.derenderer import Derendered, Derenderer
 from cophy.training.measures.gathering import of_all_devices
 from cophy.training.measures.metrics import PerExperiment, collection, over_objects
-from cophy.training.optimisation import adam_with_cosine
+from cophy.training.optimisation import optimisation
 from cophy.training.settings import Training
 
 
@@ -58,7 +58,7 @@ class DerenderingModule(L.LightningModule):
         self.tested = {name: torch.cat([step[name] for step in steps]).double().numpy() for name in steps[0]}
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        return adam_with_cosine(self, self.training_settings.learning_rate)
+        return optimisation(self, self.training_settings)
 
     def _step(self, split: str, batch: FrameBatch) -> Float[Tensor, ""]:
         found = self(batch.image)

@@ -19,7 +19,7 @@ from cophy.training.measures.gathering import of_all_devices
 from cophy.training.measures.metrics import collection, position_measures, stability_measures
 from cophy.training.measures.twin_metrics import have_twins, twin_collection
 from cophy.training.model_contract import NOT_FINITE, check_shapes, estimate_dim
-from cophy.training.optimisation import adam_with_cosine
+from cophy.training.optimisation import optimisation
 from cophy.training.settings import Training
 from cophy.types import Batch, Prediction, map_tensors
 
@@ -103,7 +103,7 @@ class PredictionModule(L.LightningModule):
         )
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        return adam_with_cosine(self, self.training_settings.learning_rate)
+        return optimisation(self, self.training_settings)
 
     def _loss(self, split: str, prediction: Prediction, batch: Batch) -> Float[Tensor, ""]:
         """The weighted sum of the terms (paper Sec. 4.2, Training); each is logged."""

@@ -1,11 +1,15 @@
 """How predictors are trained (`training` in conf/train.yaml)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass
 class Training:
-    """Optimisation with Adam; each value's source is in the YAML."""
+    """How a network is optimised; each value's source is in the YAML.
+
+    optimizer, schedule, callbacks: a `_target_` and its arguments each, as their groups of conf/ choose.
+    """
 
     batch_size: int
     learning_rate: float
@@ -13,8 +17,14 @@ class Training:
     position_weight: float
     stability_weight: float
     confounder_weight: float
+    optimizer: dict[str, Any] = field(default_factory=dict)
+    schedule: dict[str, Any] = field(default_factory=dict)
+    callbacks: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        weights = (self.position_weight, self.stability_weight, self.confounder_weight)
-        if self.batch_size < 1 or self.learning_rate <= 0 or min(weights) < 0:
-            raise ValueError(f"training: batch_size and learning_rate must be positive, weights not negative: {self}")
+        weights = {name: getattr(self, f"{name}_weight") for name in ("position", "stability", "confounder")}
+        if self.batch_size < 1 or self.learning_rate <= 0 or min(weights.values()) < 0:
+            raise ValueError(
+                "training: batch_size and learning_rate must be positive, weights not negative: "
+                f"batch_size={self.batch_size}, learning_rate={self.learning_rate}, weights {weights}"
+            )

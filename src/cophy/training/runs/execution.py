@@ -1,6 +1,7 @@
 """Carry a run out: train (or adopt a training that was the same), test the best checkpoint, write the results."""
 
 import logging
+import math
 import signal
 import time
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 
 import lightning as L
 from lightning.pytorch.callbacks import Timer
+from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
 from cophy.errors import CophyError
@@ -19,7 +21,7 @@ from cophy.training.runs.identity import Run
 from cophy.training.runs.results import write_metrics
 from cophy.training.runs.reuse import Trained
 from cophy.training.runs.stages import Stage
-from cophy.training.runs.trainer import make_trainer
+from cophy.training.runs.trainer import log_results, loggers_of, make_trainer
 from cophy.training.trained.checkpoints import Origin
 from cophy.training.trained.resuming import flatten
 
@@ -32,6 +34,7 @@ class Plan:
 
     Attributes:
         trainer: Arguments of `lightning.Trainer`; max_epochs are those of this run.
+        loggers: What `logger=` chose.
         seed: Of the training.
         threads: Of torch.
         reuse: Whether a finished training that was the same is adopted.
@@ -40,6 +43,7 @@ class Plan:
     """
 
     trainer: dict[str, Any]
+    loggers: dict[str, Any]
     seed: int
     threads: int
     reuse: bool
@@ -72,10 +76,11 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
         The validation metrics of the epoch whose weights were tested; nothing from a trial, or where nothing is trained.
     """
     watched = Watched(BestValidation(), Timer())
-    trainer = make_trainer(run, origin, [stage.figures, *watched], plan.trainer)
+    trainer = make_trainer(run, origin, [stage.figures, *watched], loggers_of(run, plan.loggers), plan.trainer)
     meet(trainer)
-    assert trainer.logger is not None  # TensorBoard, or of a trial one that does nothing
-    trainer.logger.log_hyperparams(compared(run, origin, plan.trainer), {"test/mse": float("nan")})
+    for logger in trainer.loggers:
+        results = {"metrics": {"test/mse": math.nan}} if isinstance(logger, TensorBoardLogger) else {}  # in its table
+        logger.log_hyperparams(compared(run, origin, plan.trainer), **results)
     best, trained = None, Trained(0.0, {}, 0)
     if stage.learns:
         trained = _train(trainer, watched, run, stage, plan, origin)
@@ -99,8 +104,8 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
     }
     measured = stage.measure()
     metrics = write_metrics(run, measured, about | {"wall_seconds": round(time.monotonic() - plan.started, 1)})
-    trainer.logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, trainer.global_step)
-    trainer.logger.save()
+    for logger in trainer.loggers:
+        log_results(logger, metrics, step=trainer.global_step)
     return trained.validation
 
 

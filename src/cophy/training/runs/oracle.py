@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,14 +13,20 @@ from cophy.dataset.store.forecasts import OracleSettings
 from cophy.training.measures.evaluation import evaluate
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import Measured, write_metrics, write_predictions
-from cophy.training.runs.trainer import tensorboard
+from cophy.training.runs.trainer import log_results, loggers_of
 from cophy.types import Prediction
 
 MIN_PROBABILITY = 1e-6  # of being stable, and of not, so that its logit is finite
 
 
 def carry_out_oracle(
-    run: Run, data: CounterfactualDataModule, oracle: str, settings: OracleSettings, *, started: float
+    run: Run,
+    data: CounterfactualDataModule,
+    oracle: str,
+    settings: OracleSettings,
+    *,
+    loggers: dict[str, Any],
+    started: float,
 ) -> None:
     """Test what an oracle forecasts; nothing is trained.
 
@@ -30,6 +37,7 @@ def carry_out_oracle(
             predictor without AB beats it in expectation. "initial_velocity": given that of A, too. "confounders": given
             these instead. "counterfactual": given AB instead.
         settings: What the oracles are asked with.
+        loggers: What `logger=` chose.
         started: `time.monotonic()` when the run began.
     """
     prediction, targets = forecast(data, oracle, settings), data.test.batch.targets
@@ -44,10 +52,9 @@ def carry_out_oracle(
         "wall_seconds": round(time.monotonic() - started, 1),
     }
     metrics = write_metrics(run, measured, about)
-    logger = tensorboard(run)
-    logger.log_hyperparams(run.names() | {f"model.{key}": value for key, value in asdict(settings).items()})
-    logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, step=0)
-    logger.save()
+    for logger in loggers_of(run, loggers):
+        logger.log_hyperparams(run.names() | {f"model.{key}": value for key, value in asdict(settings).items()})
+        log_results(logger, metrics, step=0)
 
 
 def forecast(data: CounterfactualDataModule, oracle: str, settings: OracleSettings) -> Prediction:

@@ -4,8 +4,10 @@ import warnings
 from typing import Any
 
 import lightning as L
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint
-from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.loggers import Logger
 
 from cophy.errors import CophyError
 from cophy.training.callbacks import ResumeHint, SaveOrigin
@@ -20,9 +22,30 @@ warnings.filterwarnings("ignore", "Checkpoint directory .* exists and is not emp
 warnings.filterwarnings("ignore", ".*LeafSpec.*")  # of Lightning 2.6 with torch 2.13, nothing a user can do
 
 
-def tensorboard(run: Run) -> TensorBoardLogger:
-    """Curves, figures and final metrics go to <directory>/tensorboard."""
-    return TensorBoardLogger(run.directory, name="tensorboard", version="", default_hp_metric=False)
+def loggers_of(run: Run, chosen: dict[str, Any]) -> list[Logger]:
+    """Where curves, figures and final metrics go.
+
+    Args:
+        run: They go below its directory, unless a logger has a server.
+        chosen: By `logger=`: a `_target_` and its arguments each (conf/logger).
+    """
+    return [_made(f"logger={name}", arguments, save_dir=str(run.directory)) for name, arguments in chosen.items()]
+
+
+def log_results(logger: Logger, metrics: dict[str, float], *, step: int) -> None:
+    """What a test measured, the last that a run logs.
+
+    Args:
+        logger: One of the run's.
+        metrics: By name.
+        step: Optimiser steps that were taken.
+    """
+    logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, step)
+    logger.save()
+    if finish := getattr(
+        getattr(logger, "experiment", None), "finish", None
+    ):  # W&B: the next run of a sweep is one of its own
+        finish()
 
 
 def with_epochs(arguments: dict[str, Any], factor: int) -> dict[str, Any]:
@@ -30,13 +53,16 @@ def with_epochs(arguments: dict[str, Any], factor: int) -> dict[str, Any]:
     return arguments | {"max_epochs": max(factor * arguments["max_epochs"], -1)}
 
 
-def make_trainer(run: Run, origin: Origin, watching: list[L.Callback], arguments: dict[str, Any]) -> L.Trainer:
+def make_trainer(
+    run: Run, origin: Origin, watching: list[L.Callback], loggers: list[Logger], arguments: dict[str, Any]
+) -> L.Trainer:
     """A Trainer that keeps the checkpoint with the smallest validation MSE, and the last one.
 
     Args:
         run: Says where everything goes.
         origin: Goes into every checkpoint.
         watching: Callbacks of this run: what draws, and what remembers.
+        loggers: Where it logs.
         arguments: Of `lightning.Trainer` (conf/trainer/).
     """
     callbacks = [
@@ -46,11 +72,12 @@ def make_trainer(run: Run, origin: Origin, watching: list[L.Callback], arguments
         SaveOrigin(origin),
         LearningRateMonitor("epoch"),
         *watching,
+        *(_made(f"callbacks={name}", each) for name, each in origin.training["callbacks"].items()),
         ResumeHint(run.checkpoints / "last.ckpt"),
     ]
     try:
         return L.Trainer(
-            logger=tensorboard(run),
+            logger=loggers,
             callbacks=callbacks,
             default_root_dir=run.directory,
             plugins=plugins(),
@@ -59,3 +86,14 @@ def make_trainer(run: Run, origin: Origin, watching: list[L.Callback], arguments
         )
     except TypeError as error:  # an argument that Lightning does not have, given with +trainer.
         raise CophyError(f"trainer: {error}") from error
+
+
+def _made(key: str, arguments: dict[str, Any], **more: Any) -> Any:
+    """What `_target_` names."""
+    try:
+        return instantiate(arguments, **more)
+    except InstantiationException as error:
+        cause = error.__cause__
+        if isinstance(cause, ModuleNotFoundError):
+            raise CophyError(f"{key} needs another package: {cause}") from error
+        raise CophyError(f"{key}: {cause or error}") from error

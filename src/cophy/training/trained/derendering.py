@@ -5,20 +5,36 @@ from collections.abc import Sequence
 from cophy.dataset import generation
 from cophy.dataset.store.estimates import Estimates
 from cophy.dataset.store.experiment_set import ExperimentSet
+from cophy.dataset.store.shardset import ShardSet
+from cophy.errors import CophyError
 from cophy.training.trained.trained_derenderer import TrainedDerenderer
 
 
-def derender(sets: Sequence[ExperimentSet], derenderer: TrainedDerenderer, *, workers: int) -> None:
-    """Estimate positions and presence; what is missing is generated and rendered first.
+def derender(
+    sets: Sequence[ExperimentSet], derenderer: TrainedDerenderer, *, part: int, parts: int, workers: int
+) -> None:
+    """Estimate positions and presence.
 
     Args:
         sets: The datasets; ones that the de-renderer was not trained for are refused.
         derenderer: Looks at their frames.
+        part: Which part of the shards is made.
+        parts: How many there are. Of a single one, states and pictures that are missing are made first.
         workers: Processes.
+
+    Raises:
+        CophyError: States or pictures are missing, which every part needs.
     """
     derenderer.check(sets)
     for experiments in sets:
         frames = experiments.frames(derenderer.render)
         estimates = Estimates(frames, derenderer)
-        estimates.ensure(workers=workers)
-        generation.make(estimates, workers=workers)
+        if parts == 1:
+            estimates.ensure(workers=workers)
+        else:
+            for needed in (experiments, frames):
+                if isinstance(needed, ShardSet) and not needed.is_finished():
+                    raise CophyError(
+                        f"{needed.directory} is not finished, which every part needs: run `{needed.command}`"
+                    )
+        generation.make_part(estimates, part, parts, workers=workers)
