@@ -45,6 +45,7 @@ def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> fl
         What a sweep optimises, see `optimized_metric` in conf/train.yaml; NaN where nothing was trained.
     """
     started = time.monotonic()
+    logging.raiseExceptions = False  # a disk that is full stops the log, too: the run says so once, not every line
     if not is_first():  # what there is to say, the first process says
         logging.getLogger("cophy").setLevel(logging.WARNING)
     torch.set_num_threads(settings.threads)

@@ -1,5 +1,6 @@
 """Runs that want the same directory."""
 
+import errno
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 
 from cophy.errors import CophyError
 from cophy.training.runs.claim import claimed
-from cophy.training.runs.identity import Run
+from cophy.training.runs.identity import FAILURE, Run
 from cophy.training.runs.results import Measured, write_metrics
 
 
@@ -67,3 +68,9 @@ def test_what_fails_leaves_a_note(run: Run) -> None:
     with claimed(run):
         finish(run)
     assert not (run.directory / "failure.json").exists()
+
+
+def test_a_full_disk_is_named_with_what_is_safe(run: Run) -> None:
+    with pytest.raises(CophyError, match=f"no space left for {run.directory}: finished runs .* are safe"), claimed(run):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert "No space left" in (run.directory / FAILURE).read_text()

@@ -1,8 +1,9 @@
 """One process at a time makes a run, and no run replaces the results of another."""
 
+import errno
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from filelock import FileLock, Timeout
 
@@ -10,6 +11,8 @@ from cophy.errors import CophyError
 from cophy.training.runs.devices import is_first
 from cophy.training.runs.identity import METRICS, Run
 from cophy.training.runs.results import forget_results, write_failure
+
+SAFE = "finished runs and last checkpoints are safe; free some, and the same command goes on"
 
 
 @contextmanager
@@ -33,7 +36,10 @@ def claimed(run: Run) -> Iterator[None]:
         try:
             yield
         except Exception as error:
-            write_failure(run, error)
+            with suppress(OSError):  # of a full disk
+                write_failure(run, error)
+            if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+                raise CophyError(f"no space left for {run.directory}: {SAFE}") from error
             raise
 
 

@@ -13,7 +13,7 @@ from cophy.errors import CophyError
 from cophy.training.callbacks import ResumeHint, SaveOrigin
 from cophy.training.runs.devices import plugins
 from cophy.training.runs.identity import Run
-from cophy.training.trained.checkpoints import Origin
+from cophy.training.trained.checkpoints import Origin, WholeCheckpoints
 
 # the whole data set lies in memory and is sliced: Lightning's advice to add workers does not apply
 warnings.filterwarnings("ignore", ".*does not have many workers.*")
@@ -80,7 +80,7 @@ def make_trainer(
             logger=loggers,
             callbacks=callbacks,
             default_root_dir=run.directory,
-            plugins=plugins(),
+            plugins=[WholeCheckpoints(), *plugins()],
             use_distributed_sampler=False,  # the datamodules share batches among devices themselves
             **arguments,
         )

@@ -1,4 +1,4 @@
-"""Checkpoints of train.py: what they say of themselves, read without running code from them."""
+"""Checkpoints of train.py: written whole or not at all, and read without running code from them."""
 
 import io
 import pickle
@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from lightning.fabric.plugins.io.torch_io import TorchCheckpointIO
 from torch import Tensor
 
+from cophy.atomic_files import write_atomically
 from cophy.errors import CophyError
 
 ORIGIN = "origin"  # the key under which a checkpoint says what it is
@@ -57,6 +59,16 @@ class Checkpoint:
 
     origin: Origin
     weights: dict[str, Tensor]
+
+
+class WholeCheckpoints(TorchCheckpointIO):
+    """Writes beside the target and renames; Lightning's own goes through /tmp, and a full disk cuts what was there."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
+        content = io.BytesIO()
+        torch.save(checkpoint, content)
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(Path(path), content.getvalue())
 
 
 def read_bytes(path: Path) -> bytes:
