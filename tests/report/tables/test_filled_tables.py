@@ -85,9 +85,9 @@ def test_the_interval_of_a_share_is_paired_over_twin_pairs() -> None:
 def test_the_share_of_an_accuracy_grows_with_it() -> None:
     metric = "sequence_stability_accuracy"
     models = {"oracle_feedforward": 0.7, "oracle_counterfactual": 0.9, "cophynet": 0.8}
-    filled = fill(
-        TABLES["stability"], pd.DataFrame([measured(metric, value, model) for model, value in models.items()])
-    )
+    runs = pd.DataFrame([measured(metric, value, model) for model, value in models.items()]).assign(mse=0.1)
+    errors = Errors(np.full(4, 0.1), np.arange(4) // 2)  # intervals are of the MSE, not of an accuracy
+    filled = fill(TABLES["stability"], runs, lambda run: errors)
     shares = filled.shares()
     assert shares is not None
     assert shares.loc["CoPhyNet", "3→3"] == "50%"

@@ -89,9 +89,10 @@ def fill(table: PaperTable, runs: pd.DataFrame, errors_of: ErrorsOf | None = Non
     for (row, in_row), printed in zip(table.rows.items(), table.paper, strict=True):
         for (column, in_column), paper in zip(table.columns.items(), printed, strict=True):
             choice = {"positions": "ground_truth", **table.select, **in_row, **in_column}
-            numbers, found = _cell(runs, choice, table.scale)
+            metric = choice.pop("metric")
+            numbers, found = _cell(runs, choice, metric, table.scale)
             used.append(found)
-            values.append({"row": row, "column": column, **numbers, "paper": paper})
+            values.append({"row": row, "column": column, "metric": metric, **numbers, "paper": paper})
     frame = pd.DataFrame(values)
     low, high = _share_intervals(table, frame, used, errors_of)
     frame = frame.assign(best=_best(table, frame), share=_share(table, frame), share_low=low, share_high=high)
@@ -121,9 +122,8 @@ def select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
     return runs[chosen]
 
 
-def _cell(runs: pd.DataFrame, choice: dict[str, str], scale: float) -> tuple[dict[str, Any], pd.DataFrame]:
+def _cell(runs: pd.DataFrame, choice: dict[str, str], metric: str, scale: float) -> tuple[dict[str, Any], pd.DataFrame]:
     """The numbers of a cell, and the runs that they are of."""
-    metric = choice.pop("metric")
     found = select(runs, **choice)
     failed = int(found["error"].notna().sum()) if len(found) else 0
     found = found[found[metric].notna()] if metric in found else found.iloc[:0]
@@ -154,8 +154,8 @@ def _share_intervals(
     method, other = _axes(table)
     runs = dict(zip(zip(values[method], values[other], strict=True), used, strict=True))
     found = []
-    for (name, column), ours in runs.items():
-        if errors_of is None or not table.oracles or "mse" not in ours or name in table.oracles:
+    for ((name, column), ours), metric in zip(runs.items(), values["metric"], strict=True):
+        if errors_of is None or not table.oracles or metric != "mse" or name in table.oracles:
             found.append((np.nan, np.nan))
             continue
         without, with_ab = (runs[oracle, column] for oracle in table.ends)
