@@ -112,7 +112,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     assert (
         (tmp_path / "report" / "blocktower.csv")
         .read_text()
-        .startswith("row,column,ours,sd,low,high,seeds,failed,paper,best")
+        .startswith("row,column,metric,ours,sd,low,high,seeds,failed,paper,best")
     )
 
 

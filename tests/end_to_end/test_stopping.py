@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 
 from tests.commands import train
 from tests.conftest import ROOT
@@ -53,5 +54,29 @@ def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(tiny_data: P
 @pytest.mark.parametrize("other", ["training.learning_rate=0.003", "reuse=false"])
 def test_another_training_does_not_go_on_with_it(tiny_data: Path, tmp_path: Path, other: str) -> None:
     stopped(tmp_path, tiny_data, signal.SIGKILL)
+    last = (tmp_path / "checkpoints" / "last.ckpt").read_bytes()
     assert "goes on" not in train(*KEYS, other, f"hydra.run.dir={tmp_path}", data=tiny_data)
     assert result(tmp_path)["resumed"] == 0
+    assert (tmp_path / "checkpoints" / "last_of_stopped.ckpt").read_bytes() == last  # hours of work, perhaps
+
+
+def test_a_longer_training_goes_on_with_the_best_so_far(tiny_data: Path, tmp_path: Path) -> None:
+    """Of a learning rate that is wasted after the first epochs, the best epoch is one of the shorter training."""
+    keys = ("scenario=collision", "model=in", f"hydra.run.dir={tmp_path / 'long'}")
+    train(*keys[:2], "trainer.max_epochs=3", f"hydra.run.dir={tmp_path / 'short'}", data=tiny_data)
+    best = torch.load(tmp_path / "short" / "checkpoints" / "best.ckpt", weights_only=True)
+    given = tmp_path / "short" / "checkpoints" / "last.ckpt"
+    train(*keys, "trainer.max_epochs=4", "trainer.limit_val_batches=0", f"ckpt={given}", data=tiny_data)
+    tested = torch.load(tmp_path / "long" / "checkpoints" / "best.ckpt", weights_only=True)
+    assert tested["global_step"] == best["global_step"]
+    assert result(tmp_path / "long")["validation"] == result(tmp_path / "short")["validation"]
+    assert result(tmp_path / "long")["resumed"] == 1
+    again = ("trainer.max_epochs=4", "trainer.limit_val_batches=0", f"ckpt={given}")
+    assert "trained already" in train(*keys, *again, data=tiny_data)
+
+
+def test_a_time_limit_ends_the_training(tiny_data: Path, tmp_path: Path) -> None:
+    train(
+        *KEYS[:2], "trainer.max_epochs=-1", "trainer.max_time=00:00:00:01", f"hydra.run.dir={tmp_path}", data=tiny_data
+    )
+    assert 1 <= result(tmp_path)["training_seconds"] < 20

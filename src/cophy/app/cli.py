@@ -28,6 +28,7 @@ WITHOUT_GRIDS = re.compile(
 # how submitit and Hydra name a machine that cannot start jobs
 WITHOUT_SLURM = {
     'Could not detect "srun"': "hydra/launcher=slurm: there is no srun here, so this is no node of a SLURM cluster",
+    "has not produced any output": "a job ended without a result; what it said is in .submitit/ among the runs; the same command goes on",
     "Could not load 'hydra/launcher/submitit_slurm'": "hydra/launcher=slurm needs a package: pip install -e '.[cluster]'",
 }
 

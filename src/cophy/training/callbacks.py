@@ -2,6 +2,9 @@
 
 import logging
 import math
+import os
+import signal
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -10,6 +13,7 @@ import cv2
 import lightning as L
 import numpy as np
 import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
 from torch import Tensor
 from torch.utils.data import default_collate
@@ -118,9 +122,14 @@ class SaveOrigin(L.Callback):
 
 
 class BestValidation(L.Callback):
-    """Remembers the validation metrics of the epoch with the best val/mse, whose weights are tested."""
+    """Remembers the validation metrics of the epoch with the best val/mse, whose weights are tested.
 
-    def __init__(self) -> None:
+    Args:
+        checkpoint: Of that epoch. Where it is gone, so are its metrics.
+    """
+
+    def __init__(self, checkpoint: Path) -> None:
+        self.checkpoint = checkpoint
         self.metrics: dict[str, float] = {}
 
     def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
@@ -132,7 +141,51 @@ class BestValidation(L.Callback):
         return self.metrics
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self.metrics = state_dict
+        self.metrics = dict(state_dict) if self.checkpoint.exists() else {}
+
+
+class BestCheckpoint(ModelCheckpoint):
+    """Goes on with the best one so far, also where the run's directory was moved or a longer training has one of its own."""
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        best = str(Path(self.dirpath or "") / "best.ckpt")
+        if Path(best).exists() and state_dict["best_model_path"]:
+            scores = dict.fromkeys([best], state_dict["best_model_score"])
+            paths = {"dirpath": self.dirpath, "best_model_path": best, "kth_best_model_path": best}
+            state_dict = {**state_dict, **paths, "best_k_models": scores}
+        super().load_state_dict(state_dict)
+
+
+class Stopwatch(L.Callback):
+    """Counts the seconds of a training, those before it was stopped included."""
+
+    def __init__(self) -> None:
+        self._before, self._start = 0.0, time.monotonic()
+
+    @property
+    def seconds(self) -> float:
+        """So far."""
+        return self._before + time.monotonic() - self._start
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        self._start = time.monotonic()
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"seconds": self.seconds}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self._before = state_dict["seconds"]
+
+
+class SubmititsSignals(L.Callback):
+    """On a cluster, submitit ignores SIGTERM and waits for the signal that queues the job again; Lightning would end it."""
+
+    def __init__(self) -> None:
+        self.of_submitit = signal.getsignal(signal.SIGTERM) if "SUBMITIT_EXECUTOR" in os.environ else None
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        if self.of_submitit is not None:
+            signal.signal(signal.SIGTERM, self.of_submitit)
 
 
 class ResumeHint(L.Callback):

@@ -21,7 +21,7 @@ ORIGIN = Origin(**{part: PLAIN[part] for part in PARTS}, trained_on=["3-tiny"])
 
 
 def fingerprint_of(origin: Origin = ORIGIN, seed: int = 0, **trainer: Any) -> str:
-    return fingerprint(CopyC(), origin, trainer=PLAIN["trainer"] | trainer, seed=seed, threads=1)
+    return fingerprint(CopyC(), origin, {"trainer": PLAIN["trainer"] | trainer, "seed": seed, "threads": 1})
 
 
 @pytest.mark.parametrize("changes", [{"enable_progress_bar": False}, {"limit_test_batches": 1}])

@@ -15,6 +15,8 @@ from lightning.pytorch.plugins.environments import SLURMEnvironment
 from lightning.pytorch.strategies import DDPStrategy
 from lightning.pytorch.strategies.launchers import _SubprocessScriptLauncher
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
+from torch import nn
+from torch.nn.modules.batchnorm import _BatchNorm
 
 from cophy.errors import CophyError
 
@@ -31,14 +33,27 @@ def plugins() -> list[Any]:
     return [SLURMEnvironment(auto_requeue=False)] if SLURMEnvironment.detect() else []
 
 
-def meet(trainer: L.Trainer) -> None:
+def was_queued_again() -> bool:
+    """Whether this is a job of a cluster that was stopped before: then it goes on, whatever its command says."""
+    return int(os.environ.get("SLURM_RESTART_COUNT", "0")) > 0
+
+
+def meet(trainer: L.Trainer, module: nn.Module) -> None:
     """Start the processes of the other devices and wait until they are where this one is.
 
+    Args:
+        trainer: Of the run.
+        module: What is trained.
+
     Raises:
-        CophyError: They cannot be started so.
+        CophyError: They cannot be started so, or the module cannot be trained so.
     """
     if trainer.world_size == 1:
         return
+    if any(isinstance(part, _BatchNorm) for part in module.modules()):
+        raise CophyError(
+            "a network with batch normalisation (a de-renderer) needs whole batches: train it on one device"
+        )
     strategy = trainer.strategy
     if not isinstance(strategy, DDPStrategy) or not isinstance(strategy.launcher, _SubprocessScriptLauncher):
         raise CophyError("runs on several devices need trainer.strategy=ddp")
@@ -51,7 +66,10 @@ def meet(trainer: L.Trainer) -> None:
             "or hydra/launcher=slurm with hydra.launcher.tasks_per_node= as many as devices"
         )
     os.environ.setdefault("OMP_NUM_THREADS", str(torch.get_num_threads()))  # else Lightning changes their number
-    strategy.launcher.launch(strategy.setup_environment)
+    try:
+        strategy.launcher.launch(strategy.setup_environment)
+    except ValueError as error:  # of Lightning: what was asked for is not what the cluster started
+        raise CophyError(f"trainer.devices and hydra.launcher.tasks_per_node: {error}") from error
 
 
 def first_decides(trainer: L.Trainer, decide: Callable[[], Decision]) -> Decision:

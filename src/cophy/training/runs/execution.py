@@ -9,19 +9,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import lightning as L
-from lightning.pytorch.callbacks import Timer
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
 from cophy.errors import CophyError
-from cophy.training.callbacks import BestValidation
-from cophy.training.runs import reuse
-from cophy.training.runs.devices import first_decides, is_first, meet
+from cophy.training.callbacks import BestValidation, Stopwatch
+from cophy.training.runs import devices, reuse
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import write_metrics
 from cophy.training.runs.reuse import Trained
 from cophy.training.runs.stages import Stage
-from cophy.training.runs.trainer import log_results, loggers_of, make_trainer
+from cophy.training.runs.trainer import finishing, loggers_of, make_trainer
 from cophy.training.trained.checkpoints import Origin
 from cophy.training.trained.resuming import flatten
 
@@ -60,7 +58,7 @@ class Watched(NamedTuple):
     """What a training is asked for when it ends; both remember across stops."""
 
     best_epoch: BestValidation
-    timer: Timer
+    stopwatch: Stopwatch
 
 
 def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, float]:
@@ -75,38 +73,43 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
     Returns:
         The validation metrics of the epoch whose weights were tested; nothing from a trial, or where nothing is trained.
     """
-    watched = Watched(BestValidation(), Timer())
-    trainer = make_trainer(run, origin, [stage.figures, *watched], loggers_of(run, plan.loggers), plan.trainer)
-    meet(trainer)
-    for logger in trainer.loggers:
-        results = {"metrics": {"test/mse": math.nan}} if isinstance(logger, TensorBoardLogger) else {}  # in its table
-        logger.log_hyperparams(compared(run, origin, plan.trainer), **results)
-    best, trained = None, Trained(0.0, {}, 0)
-    if stage.learns:
-        trained = _train(trainer, watched, run, stage, plan, origin)
-        best = None if plan.is_trial else run.checkpoints / "best.ckpt"
-    elif plan.resume is not None:
-        raise CophyError(f"ckpt={plan.resume}: {run.model} has nothing to train or to restore")
-    trainer.test(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
-    if plan.is_trial:
-        return {}
-    if not is_first():
+    watched = Watched(BestValidation(run.checkpoints / "best.ckpt"), Stopwatch())
+    loggers = loggers_of(run, plan.loggers)
+    with finishing(loggers):
+        trainer = make_trainer(run, origin, [stage.figures, *watched], loggers, plan.trainer)
+        devices.meet(trainer, stage.module)
+        for logger in trainer.loggers:
+            results = (
+                {"metrics": {"test/mse": math.nan}} if isinstance(logger, TensorBoardLogger) else {}
+            )  # in its table
+            logger.log_hyperparams(compared(run, origin, plan.trainer), **results)
+        best, trained = None, Trained(0.0, {}, 0)
+        if stage.learns:
+            trained = _train(trainer, watched, run, stage, plan, origin)
+            best = None if plan.is_trial else run.checkpoints / "best.ckpt"
+        elif plan.resume is not None:
+            raise CophyError(f"ckpt={plan.resume}: {run.model} has nothing to train or to restore")
+        trainer.test(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
+        if plan.is_trial:
+            return {}
+        if not devices.is_first():
+            return trained.validation
+        about = {
+            "dataset_ids": stage.data.dataset_ids,
+            "derenderer": stage.derenderer,
+            "num_train": len(stage.data.train),
+            "num_test": len(stage.data.test),
+            "max_epochs": plan.trainer["max_epochs"],
+            "training_seconds": trained.seconds,
+            "resumed": trained.resumed,
+            "validation": trained.validation,
+        }
+        measured = stage.measure()
+        metrics = write_metrics(run, measured, about | {"wall_seconds": round(time.monotonic() - plan.started, 1)})
+        for logger in trainer.loggers:
+            logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, trainer.global_step)
+            logger.save()
         return trained.validation
-    about = {
-        "dataset_ids": stage.data.dataset_ids,
-        "derenderer": stage.derenderer,
-        "num_train": len(stage.data.train),
-        "num_test": len(stage.data.test),
-        "max_epochs": plan.trainer["max_epochs"],
-        "training_seconds": trained.seconds,
-        "resumed": trained.resumed,
-        "validation": trained.validation,
-    }
-    measured = stage.measure()
-    metrics = write_metrics(run, measured, about | {"wall_seconds": round(time.monotonic() - plan.started, 1)})
-    for logger in trainer.loggers:
-        log_results(logger, metrics, step=trainer.global_step)
-    return trained.validation
 
 
 def compared(run: Run, origin: Origin, trainer: dict[str, Any]) -> dict[str, Any]:
@@ -122,30 +125,32 @@ def compared(run: Run, origin: Origin, trainer: dict[str, Any]) -> dict[str, Any
 
 def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: Plan, origin: Origin) -> Trained:
     """Fit, go on where the same training was stopped, or adopt the checkpoints of one that was the same."""
-    network = stage.module.network
-    of_training = reuse.fingerprint(network, origin, trainer=plan.trainer, seed=plan.seed, threads=plan.threads)
-    own = plan.resume is None and not plan.is_trial
+    given, anew = plan.resume, not plan.reuse and not devices.was_queued_again()
 
-    def start() -> Trained | int:
-        if not own:
-            return 1
-        if plan.reuse and (found := reuse.find_checkpoints(run, of_training)) is not None:
+    def start() -> Trained | tuple[str, int, Path | None]:
+        """A finished training; or the fingerprint of this one, how often it was stopped, and what it goes on from."""
+        if plan.is_trial:
+            return "", 0, given
+        settings = {"trainer": plan.trainer, "seed": plan.seed, "threads": plan.threads}
+        wanted = reuse.fingerprint(stage.module.network, origin, settings, resumed_from=given)
+        if not anew and (found := reuse.find_checkpoints(run, wanted)) is not None:
             log.info("trained already, on the same data with the same settings: %s (reuse=false trains again)", found)
             return reuse.adopt(found, run)
-        return reuse.begin(run, of_training, anew=not plan.reuse)
+        if stopped := reuse.begin(run, wanted, anew=anew, given=given):
+            log.info("goes on where it was stopped: %s (reuse=false trains again)", run.checkpoints / "last.ckpt")
+            return wanted, stopped + (given is not None), run.checkpoints / "last.ckpt"
+        moved = given is not None and not given.exists()
+        return wanted, int(given is not None), run.checkpoints / reuse.STOPPED if moved else given
 
-    known = first_decides(trainer, start)
+    known = devices.first_decides(trainer, start)
     if isinstance(known, Trained):
         return known
-    resume = plan.resume
-    if own and known:
-        resume = run.checkpoints / "last.ckpt"
-        log.info("goes on where it was stopped: %s (reuse=false trains again)", resume)
+    wanted, resumed, resume = known
     try:
         trainer.fit(stage.module, stage.data, ckpt_path=resume, weights_only=True)
     except SIGTERMException as error:
         raise SystemExit(128 + signal.SIGTERM) from error  # as of a process that it ends
-    trained = Trained(round(watched.timer.time_elapsed(), 1), watched.best_epoch.metrics, known)
-    if own and is_first():
-        reuse.record(run, of_training, trained)
+    trained = Trained(round(watched.stopwatch.seconds, 1), watched.best_epoch.metrics, resumed)
+    if devices.is_first() and not plan.is_trial:
+        reuse.record(run, wanted, trained)
     return trained

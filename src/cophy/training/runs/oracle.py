@@ -11,9 +11,10 @@ from cophy.dataset import generation
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.store.forecasts import OracleSettings
 from cophy.training.measures.evaluation import evaluate
+from cophy.training.runs.devices import is_first
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import Measured, write_metrics, write_predictions
-from cophy.training.runs.trainer import log_results, loggers_of
+from cophy.training.runs.trainer import finishing, loggers_of
 from cophy.types import Prediction
 
 MIN_PROBABILITY = 1e-6  # of being stable, and of not, so that its logit is finite
@@ -41,6 +42,8 @@ def carry_out_oracle(
         started: `time.monotonic()` when the run began.
     """
     prediction, targets = forecast(data, oracle, settings), data.test.batch.targets
+    if not is_first():
+        return
     measured = Measured(evaluate(prediction, targets, data.scenario), targets.pair.numpy())
     write_predictions(run.directory, prediction, targets)
     about = {
@@ -52,9 +55,12 @@ def carry_out_oracle(
         "wall_seconds": round(time.monotonic() - started, 1),
     }
     metrics = write_metrics(run, measured, about)
-    for logger in loggers_of(run, loggers):
-        logger.log_hyperparams(run.names() | {f"model.{key}": value for key, value in asdict(settings).items()})
-        log_results(logger, metrics, step=0)
+    chosen = loggers_of(run, loggers)
+    with finishing(chosen):
+        for logger in chosen:
+            logger.log_hyperparams(run.names() | {f"model.{key}": value for key, value in asdict(settings).items()})
+            logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, step=0)
+            logger.save()
 
 
 def forecast(data: CounterfactualDataModule, oracle: str, settings: OracleSettings) -> Prediction:

@@ -7,6 +7,8 @@ weights depend on, beside its checkpoints: when it begins, and when it is finish
 import hashlib
 import inspect
 import json
+import logging
+import os
 import shutil
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,11 +17,14 @@ import torch
 from torch import nn
 
 import cophy
-from cophy.atomic_files import write_atomically
+from cophy.atomic_files import sha256, write_atomically
 from cophy.training.runs.identity import Run
 from cophy.training.trained.checkpoints import Origin
 
+log = logging.getLogger(__name__)
+
 FINISHED, BEGUN = "finished.json", "begun.json"
+STOPPED = "last_of_stopped.ckpt"
 KEYS = {FINISHED: {"fingerprint", "training_seconds", "validation", "resumed"}, BEGUN: {"fingerprint", "resumed"}}
 CHECKPOINTS = ("best.ckpt", "last.ckpt")
 # keys of `trainer` that no weight depends on
@@ -43,7 +48,9 @@ class Trained(NamedTuple):
     resumed: int
 
 
-def fingerprint(network: nn.Module, origin: Origin, *, trainer: dict[str, Any], seed: int, threads: int) -> str:
+def fingerprint(
+    network: nn.Module, origin: Origin, settings: dict[str, Any], *, resumed_from: Path | None = None
+) -> str:
     """Hash of all that the weights depend on: training data, model, training, trainer, seed, code, version of torch.
 
     The code is that of this package and of all modules beside the model's own. Which device was used is not part of it.
@@ -51,19 +58,18 @@ def fingerprint(network: nn.Module, origin: Origin, *, trainer: dict[str, Any], 
     Args:
         network: The network to train.
         origin: Says what it is and what it is trained on.
-        trainer: Arguments of Lightning's Trainer.
-        seed: Of the training.
-        threads: Of torch.
+        settings: `trainer` (arguments of Lightning's Trainer), `seed` of the training, `threads` of torch.
+        resumed_from: The checkpoint that it goes on from, of another training.
     """
     depends_on = {
         "data": origin.trained_on,
         "model": origin.model,
         "training": origin.training,
-        "trainer": {key: value for key, value in trainer.items() if key not in WITHOUT_EFFECT},
-        "seed": seed,
-        "threads": threads,
+        **settings,
+        "trainer": {key: value for key, value in settings["trainer"].items() if key not in WITHOUT_EFFECT},
         "code": _hash_of_sources(network),
         "torch": torch.__version__,
+        "resumed_from": sha256(resumed_from) if resumed_from else None,
     }
     return hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()
 
@@ -81,13 +87,14 @@ def find_checkpoints(run: Run, wanted: str) -> Path | None:
     return None
 
 
-def begin(run: Run, wanted: str, *, anew: bool) -> int:
+def begin(run: Run, wanted: str, *, anew: bool, given: Path | None = None) -> int:
     """Note that a training begins in the run's directory, or goes on there: with this fingerprint, after it was stopped.
 
     Args:
         run: The run.
         wanted: Fingerprint of its training.
         anew: Whether it begins in any case.
+        given: The checkpoint that it begins with; its best one counts on.
 
     Returns:
         How often it was stopped before; 0 where it begins, and then nothing of an earlier one is left.
@@ -95,7 +102,12 @@ def begin(run: Run, wanted: str, *, anew: bool) -> int:
     known = _read(run.checkpoints, BEGUN)
     goes_on = not anew and known.get("fingerprint") == wanted and _whole(run.checkpoints)
     if not goes_on:
+        best = given.with_name("best.ckpt").read_bytes() if given and given.with_name("best.ckpt").is_file() else None
+        _set_aside(run.checkpoints, known, given)
         forget_checkpoints(run)
+        if best is not None:
+            run.checkpoints.mkdir(parents=True, exist_ok=True)
+            write_atomically(run.checkpoints / "best.ckpt", best)
     resumed = known["resumed"] + 1 if goes_on else 0
     _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
     return int(resumed)
@@ -129,6 +141,16 @@ def record(run: Run, wanted: str, trained: Trained) -> None:
     about = {"training_seconds": trained.seconds, "validation": trained.validation, "resumed": trained.resumed}
     _write(run.checkpoints, FINISHED, {"fingerprint": wanted, **about})
     (run.checkpoints / BEGUN).unlink(missing_ok=True)
+
+
+def _set_aside(checkpoints: Path, known: dict[str, Any], given: Path | None) -> None:
+    """Keep the last checkpoint of an unfinished training of other settings or code, and the one that is given."""
+    last = checkpoints / "last.ckpt"
+    is_given = given is not None and last.exists() and given.exists() and given.samefile(last)
+    if last.exists() and (known or is_given):
+        kept = checkpoints / STOPPED
+        os.replace(last, kept)
+        log.warning("%s is of a training with other settings or code, or a shorter one: it is kept as %s", last, kept)
 
 
 def _whole(checkpoints: Path) -> bool:

@@ -1,6 +1,8 @@
 """Lightning's Trainer as every run uses it: TensorBoard, the best and the last checkpoint, figures."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import lightning as L
@@ -10,7 +12,7 @@ from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 
 from cophy.errors import CophyError
-from cophy.training.callbacks import ResumeHint, SaveOrigin
+from cophy.training.callbacks import BestCheckpoint, ResumeHint, SaveOrigin, SubmititsSignals
 from cophy.training.runs.devices import plugins
 from cophy.training.runs.identity import Run
 from cophy.training.trained.checkpoints import Origin, WholeCheckpoints
@@ -32,20 +34,15 @@ def loggers_of(run: Run, chosen: dict[str, Any]) -> list[Logger]:
     return [_made(f"logger={name}", arguments, save_dir=str(run.directory)) for name, arguments in chosen.items()]
 
 
-def log_results(logger: Logger, metrics: dict[str, float], *, step: int) -> None:
-    """What a test measured, the last that a run logs.
-
-    Args:
-        logger: One of the run's.
-        metrics: By name.
-        step: Optimiser steps that were taken.
-    """
-    logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, step)
-    logger.save()
-    if finish := getattr(
-        getattr(logger, "experiment", None), "finish", None
-    ):  # W&B: the next run of a sweep is one of its own
-        finish()
+@contextmanager
+def finishing(loggers: list[Logger]) -> Iterator[None]:
+    """Ends what the loggers began, also where the run fails: W&B would put the next run of a sweep into this one."""
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            if finish := getattr(getattr(logger, "experiment", None), "finish", None):
+                finish()
 
 
 def with_epochs(arguments: dict[str, Any], factor: int) -> dict[str, Any]:
@@ -66,10 +63,12 @@ def make_trainer(
         arguments: Of `lightning.Trainer` (conf/trainer/).
     """
     callbacks = [
-        ModelCheckpoint(run.checkpoints, filename="best", monitor="val/mse", enable_version_counter=False),
+        BestCheckpoint(run.checkpoints, filename="best", monitor="val/mse", enable_version_counter=False),
         # apart from the best: with save_last=True Lightning 2.6 writes the last one only when it is the best
-        ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False),
+        # and in every epoch, also where validation is rarer
+        ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True),
         SaveOrigin(origin),
+        SubmititsSignals(),
         LearningRateMonitor("epoch"),
         *watching,
         *(_made(f"callbacks={name}", each) for name, each in origin.training["callbacks"].items()),
