@@ -11,7 +11,6 @@ from cophy.app.datasets import generated_by
 from cophy.app.registration import register
 from cophy.app.schemas import GenerateConfig
 from cophy.dataset import generation
-from cophy.dataset.store.experiment_set import OracleSettings
 from cophy.dataset.store.shardset import ShardSet
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
@@ -37,8 +36,7 @@ def asked_for(states: States, settings: GenerateConfig) -> Iterator[ShardSet]:
     if settings.render.modalities:
         yield states.frames(settings.render)
     if settings.model is not None:
-        oracle = settings.model
-        yield states.forecasts(OracleSettings(oracle.draws, oracle.max_configurations, oracle.noise))
+        yield states.forecasts(settings.model.settings)
 
 
 if __name__ == "__main__":

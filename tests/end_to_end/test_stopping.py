@@ -61,7 +61,7 @@ def test_another_training_does_not_go_on_with_it(tiny_data: Path, tmp_path: Path
 
 
 def test_a_longer_training_goes_on_with_the_best_so_far(tiny_data: Path, tmp_path: Path) -> None:
-    """Of a learning rate that is wasted after the first epochs, the best epoch is one of the shorter training."""
+    """Its further epoch is not validated, so that the best one is of the shorter training."""
     keys = ("scenario=collision", "model=in", f"hydra.run.dir={tmp_path / 'long'}")
     train(*keys[:2], "trainer.max_epochs=3", f"hydra.run.dir={tmp_path / 'short'}", data=tiny_data)
     best = torch.load(tmp_path / "short" / "checkpoints" / "best.ckpt", weights_only=True)

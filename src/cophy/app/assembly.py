@@ -18,7 +18,6 @@ from cophy.app.schemas import ESTIMATED, TrainConfig
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.dataset.feed.frame_datamodule import FrameDataModule
-from cophy.dataset.store.forecasts import OracleSettings
 from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.training.runs.devices import is_first
@@ -151,5 +150,4 @@ def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, run: Run, sta
     data = _experiments(settings, run, DeclaredInputs())
     data.prepare_data()
     data.setup()
-    asked = OracleSettings(oracle.draws, oracle.max_configurations, oracle.noise)
-    carry_out_oracle(run, data, oracle.oracle, asked, loggers=settings.logger, started=started)
+    carry_out_oracle(run, data, oracle.oracle, oracle.settings, loggers=settings.logger, started=started)

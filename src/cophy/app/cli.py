@@ -25,8 +25,8 @@ WITHOUT_GRIDS = re.compile(
     r"Could not override 'confounders'\. No match in the defaults list\..*\+(confounders=\S+)", re.DOTALL
 )
 
-# how submitit and Hydra name a machine that cannot start jobs
-WITHOUT_SLURM = {
+# how submitit and Hydra say that jobs cannot be started, or that one left no result
+OF_SLURM = {
     'Could not detect "srun"': "hydra/launcher=slurm: there is no srun here, so this is no node of a SLURM cluster",
     "has not produced any output": "a job ended without a result; what it said is in .submitit/ among the runs; the same command goes on",
     "Could not load 'hydra/launcher/submitit_slurm'": "hydra/launcher=slurm needs a package: pip install -e '.[cluster]'",
@@ -99,7 +99,9 @@ def explain(error: BaseException) -> str:
 
 
 def _of_slurm(error: BaseException) -> str:
-    return next((said for met, said in WITHOUT_SLURM.items() if met in str(error)), "")
+    said = next((said for met, said in OF_SLURM.items() if met in str(error)), "")
+    state = re.search(r"\(state: \w+\)", str(error))
+    return f"{said} {state[0]}" if said and state else said
 
 
 def _explain_file(group: str, name: str, what: str) -> str:

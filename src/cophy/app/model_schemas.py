@@ -5,7 +5,7 @@ from typing import Any
 
 from omegaconf import MISSING
 
-from cophy.dataset.store.experiment_set import ORACLES
+from cophy.dataset.store.experiment_set import ORACLES, OracleSettings
 from cophy.models.options import ConfounderInput, ConfounderSource, Decoding, Gating, Interaction, Readout
 
 
@@ -92,6 +92,11 @@ class OracleConfig:
             raise ValueError("model.draws must be at least 4: the variance of a mean takes two twin pairs")
         if self.max_configurations < 1 or self.noise <= 0:
             raise ValueError("model: max_configurations must be at least 1 and noise positive")
+
+    @property
+    def settings(self) -> OracleSettings:
+        """What all oracles are asked with."""
+        return OracleSettings(self.draws, self.max_configurations, self.noise)
 
 
 @dataclass

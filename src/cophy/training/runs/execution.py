@@ -79,9 +79,8 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
         trainer = make_trainer(run, origin, [stage.figures, *watched], loggers, plan.trainer)
         devices.meet(trainer, stage.module)
         for logger in trainer.loggers:
-            results = (
-                {"metrics": {"test/mse": math.nan}} if isinstance(logger, TensorBoardLogger) else {}
-            )  # in its table
+            has_table = isinstance(logger, TensorBoardLogger)  # of runs, with a column for the result
+            results = {"metrics": {"test/mse": math.nan}} if has_table else {}
             logger.log_hyperparams(compared(run, origin, plan.trainer), **results)
         best, trained = None, Trained(0.0, {}, 0)
         if stage.learns:

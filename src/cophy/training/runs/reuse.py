@@ -97,7 +97,7 @@ def begin(run: Run, wanted: str, *, anew: bool, given: Path | None = None) -> in
         given: The checkpoint that it begins with; its best one counts on.
 
     Returns:
-        How often it was stopped before; 0 where it begins, and then nothing of an earlier one is left.
+        How often it was stopped before; 0 where it begins, and then no checkpoint of another one can pass for its own.
     """
     known = _read(run.checkpoints, BEGUN)
     goes_on = not anew and known.get("fingerprint") == wanted and _whole(run.checkpoints)

@@ -64,8 +64,8 @@ def make_trainer(
     """
     callbacks = [
         BestCheckpoint(run.checkpoints, filename="best", monitor="val/mse", enable_version_counter=False),
-        # apart from the best: with save_last=True Lightning 2.6 writes the last one only when it is the best
-        # and in every epoch, also where validation is rarer
+        # The last has a callback of its own: with save_last=True Lightning 2.6 writes it only when it is the best.
+        # It is written after every epoch, also where validation is rarer.
         ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True),
         SaveOrigin(origin),
         SubmititsSignals(),
