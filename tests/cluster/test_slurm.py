@@ -122,6 +122,16 @@ def test_a_preempted_training_is_queued_again_and_ends_as_if_undisturbed(
     assert {key: part[key] for key in part.keys() - TIMES} == {key: whole[key] for key in whole.keys() - TIMES}
 
 
+def test_a_training_whose_time_is_out_goes_on_in_the_next_job(start: Start, tiny_data: Path, tmp_path: Path) -> None:
+    keys = (*IN, "trainer.max_epochs=300", f"data_dir={tiny_data}")
+    minute = ("hydra.launcher.timeout_min=1", "hydra.launcher.signal_delay_s=30")
+    finished(start("train", *keys, *minute, f"source.outputs={tmp_path / 'part'}"))
+    train(*keys[:-1], f"source.outputs={tmp_path / 'whole'}", data=tiny_data)
+    part, whole = result(tmp_path / "part"), result(tmp_path / "whole")
+    assert part["resumed"] >= 1
+    assert {key: part[key] for key in part.keys() - TIMES} == {key: whole[key] for key in whole.keys() - TIMES}
+
+
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="two tasks need two cores")
 def test_two_tasks_judge_as_one_process_does(start: Start, tiny_data: Path, tmp_path: Path) -> None:
     on_two = ("trainer.devices=2", "trainer.strategy=ddp", "trainer.accelerator=cpu")
