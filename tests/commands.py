@@ -16,6 +16,8 @@ from hydra.core.hydra_config import HydraConfig
 
 from tests.conftest import ROOT
 
+ON_TWO = ("trainer.devices=2", "trainer.strategy=ddp", "trainer.accelerator=cpu")
+
 
 def run(script: str, *arguments: object, code: int = 0) -> str:
     """What a command prints; its exit code has to be `code`."""

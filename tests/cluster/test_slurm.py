@@ -109,11 +109,11 @@ def test_a_preempted_training_is_queued_again_and_ends_as_if_undisturbed(
 ) -> None:
     keys = (*IN, "trainer.max_epochs=60", f"data_dir={tiny_data}")
     training, last = start("train", *keys, f"source.outputs={tmp_path / 'part'}"), 0
-    for _ in range(2):
+    for name in ("TERM", "USR2", "USR2"):  # SLURM sends both to a job that it preempts; the second queues it again
         until(lambda last=last: [p for p in tmp_path.rglob("last.ckpt") if p.stat().st_mtime_ns > last])
         last = next(tmp_path.rglob("last.ckpt")).stat().st_mtime_ns
-        subprocess.run(["scancel", "--signal=USR2", jobs(slurm, "running")[0]], env=slurm, check=True)
-        until(lambda: not jobs(slurm, "running"))
+        subprocess.run(["scancel", f"--signal={name}", *jobs(slurm, "running")], env=slurm, check=True)
+        until(lambda name=name: name == "TERM" or not jobs(slurm, "running"))
         last = next(tmp_path.rglob("last.ckpt")).stat().st_mtime_ns
     finished(training)
     train(*keys[:-1], f"source.outputs={tmp_path / 'whole'}", data=tiny_data)

@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.commands import train
-
-ON_TWO = ("trainer.devices=2", "trainer.strategy=ddp", "trainer.accelerator=cpu")
+from tests.commands import ON_TWO, train
 
 
 def left(outputs: Path) -> tuple[dict, dict[str, np.ndarray]]:

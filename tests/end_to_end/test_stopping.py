@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tests.commands import train
+from tests.commands import ON_TWO, train
 from tests.conftest import ROOT
 
 EPOCHS = 40
@@ -22,9 +22,9 @@ def result(directory: Path) -> dict:
     return json.loads((directory / "metrics.json").read_text())
 
 
-def stopped(directory: Path, data: Path, how: signal.Signals) -> int:
+def stopped(directory: Path, data: Path, how: signal.Signals, *devices: str) -> int:
     """Start the training, stop it after a further epoch, and return its exit code."""
-    command = [sys.executable, str(ROOT / "src/train.py"), *KEYS, "size=tiny", f"data_dir={data}"]
+    command = [sys.executable, str(ROOT / "src/train.py"), *KEYS, *devices, "size=tiny", f"data_dir={data}"]
     last = directory / "checkpoints" / "last.ckpt"
     before = last.stat().st_mtime_ns if last.exists() else 0
     process = subprocess.Popen([*command, f"hydra.run.dir={directory}"], stderr=subprocess.PIPE, text=True)
@@ -33,16 +33,20 @@ def stopped(directory: Path, data: Path, how: signal.Signals) -> int:
     process.send_signal(how)
     _, said = process.communicate(timeout=60)
     assert not (directory / "metrics.json").exists(), said
-    assert "Traceback" not in said
+    assert devices or "Traceback" not in said  # a process that loses the others cannot help one
     return process.returncode
 
 
-def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(tiny_data: Path, tmp_path: Path) -> None:
-    train(*KEYS, f"hydra.run.dir={tmp_path / 'whole'}", data=tiny_data)
+@pytest.mark.parametrize("devices", [(), pytest.param(ON_TWO, marks=pytest.mark.slow)], ids=["one", "two"])
+def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(
+    tiny_data: Path, tmp_path: Path, devices: tuple[str, ...]
+) -> None:
+    apart = bool(devices)
+    train(*KEYS, *devices, f"hydra.run.dir={tmp_path / 'whole'}", data=tiny_data, apart=apart)
     part = tmp_path / "part"
-    assert stopped(part, tiny_data, signal.SIGTERM) == 128 + signal.SIGTERM
-    assert stopped(part, tiny_data, signal.SIGKILL) == -signal.SIGKILL
-    printed = train(*KEYS, f"hydra.run.dir={part}", data=tiny_data)
+    assert stopped(part, tiny_data, signal.SIGTERM, *devices) == 128 + signal.SIGTERM
+    assert stopped(part, tiny_data, signal.SIGKILL, *devices) == -signal.SIGKILL
+    printed = train(*KEYS, *devices, f"hydra.run.dir={part}", data=tiny_data, apart=apart)
     assert f"goes on where it was stopped: {part / 'checkpoints' / 'last.ckpt'}" in printed
     whole, resumed = result(tmp_path / "whole"), result(part)
     assert (whole["resumed"], resumed["resumed"]) == (0, 2)
