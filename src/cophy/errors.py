@@ -1,4 +1,6 @@
-"""The one exception whose message is meant for the person at the terminal."""
+"""The one exception whose message is meant for the person at the terminal, and what a full disk leaves."""
+
+SAFE = "finished runs, shards and last checkpoints are safe; free some, and the same command goes on"
 
 
 class CophyError(Exception):

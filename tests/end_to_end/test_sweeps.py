@@ -1,5 +1,6 @@
 """Sweeps with runs side by side."""
 
+import errno
 import json
 from importlib.util import find_spec
 from pathlib import Path
@@ -38,3 +39,19 @@ def test_without_slurm_its_launcher_says_so(tiny_data: Path, tmp_path: Path, mon
     monkeypatch.setenv("PATH", str(tmp_path))
     jobs = ("-m", "scenario=collision", "model=copy_c", "hydra/launcher=slurm", f"hydra.sweep.dir={tmp_path}")
     assert "there is no srun here" in train(*jobs, data=tiny_data, code=1)
+
+
+def test_a_disk_that_is_full_before_a_run_begins_is_named(
+    tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Hydra writes a run's configuration first, and its error names no file."""
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("hydra.core.utils._save_config", full)
+    sweep = ("-m", "scenario=collision", "+row=copy_b", "seed=0,1", f"hydra.sweep.dir={tmp_path}")
+    printed = train(*sweep, data=tiny_data, code=1)
+    assert "no space left" in printed
+    assert "the same command goes on" in printed
+    assert "Traceback" not in printed

@@ -1,5 +1,6 @@
 """Run a command; what the user can mend ends it with one line: what is wrong, where, and the nearest right spelling."""
 
+import errno
 import json
 import os
 import re
@@ -15,7 +16,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from cophy.errors import CophyError
+from cophy.errors import SAFE, CophyError
 from cophy.training.runs.identity import FAILURE
 
 # how Hydra names a file of conf/ablation or conf/row that it cannot compose
@@ -73,7 +74,7 @@ def _list(failed: list[str]) -> str:
 
 def is_mendable(error: Exception) -> bool:
     """Whether the person at the terminal can mend it, so that one line is enough."""
-    of_a_file = isinstance(error, OSError) and error.filename is not None
+    of_a_file = isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOSPC)
     return (
         of_a_file or isinstance(error, HydraException | OmegaConfBaseException | CophyError) or _of_slurm(error) != ""
     )
@@ -81,6 +82,8 @@ def is_mendable(error: Exception) -> bool:
 
 def explain(error: BaseException) -> str:
     """One line for an error that is mendable."""
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # Hydra's own files name none
+        return f"no space left for {error.filename or 'what a run begins with'}: {SAFE}"
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     if slurm := _of_slurm(error):

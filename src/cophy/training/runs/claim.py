@@ -7,12 +7,10 @@ from contextlib import contextmanager, suppress
 
 from filelock import FileLock, Timeout
 
-from cophy.errors import CophyError
+from cophy.errors import SAFE, CophyError
 from cophy.training.runs.devices import is_first
 from cophy.training.runs.identity import METRICS, Run
 from cophy.training.runs.results import forget_results, write_failure
-
-SAFE = "finished runs and last checkpoints are safe; free some, and the same command goes on"
 
 
 @contextmanager
