@@ -21,7 +21,7 @@ from measure import ROOT, Measured
 from rich.console import Console
 from rich.table import Table
 
-from cophy.app.registration import register
+from cophy.app.schemas.registration import register
 
 TOPICS = {
     "training": speed_training.measure,

@@ -13,7 +13,7 @@ from physics import scenario as configured
 from rich.console import Console
 from rich.table import Table
 
-from cophy.app.registration import register
+from cophy.app.schemas.registration import register
 from cophy.dataset.audit.bias.classifiers import ask_classifier
 from cophy.dataset.audit.bias.visible_features import initial_scene
 from cophy.dataset.audit.tower_outcomes import falls_from_on_paper

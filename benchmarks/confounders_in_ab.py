@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from cophy.app.composition import settings
 from cophy.app.datasets import generated_by
-from cophy.app.registration import register
+from cophy.app.schemas.registration import register
 from cophy.bootstrap import interval
 from cophy.dataset.audit.first_frames import slots_in_order
 from cophy.dataset.spec import DatasetSpec

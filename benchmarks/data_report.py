@@ -12,7 +12,7 @@ import pandas as pd
 
 from cophy.app.composition import settings
 from cophy.app.datasets import generated_by
-from cophy.app.registration import register
+from cophy.app.schemas.registration import register
 from cophy.bootstrap import interval, mean
 from cophy.dataset.audit.do_operations_matter import matters
 from cophy.dataset.audit.first_frames import slots_in_order

@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from cophy.app.composition import settings
-from cophy.app.registration import SCENARIOS, register
+from cophy.app.schemas.registration import SCENARIOS, register
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.source import generated_sets
 from cophy.training.measures.metrics import mean_squared_error

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from speed_generation import draw, made_states
 
-from cophy.app.registration import register
+from cophy.app.schemas.registration import register
 from cophy.dataset.store.images import Images
 from cophy.drawing.overview import render_sequence
 from cophy.scenario.rendering.frames import MODALITIES, Backend, Frames, RenderSettings

@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from cophy.app.composition import settings
-from cophy.app.registration import register
+from cophy.app.schemas.registration import register
 from cophy.bootstrap import interval
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.store.experiment_set import OracleSettings

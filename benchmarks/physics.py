@@ -13,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from cophy.app.composition import settings
-from cophy.app.registration import register
+from cophy.app.schemas.registration import register
 from cophy.scenario import Blocktower, Body, Clock, Scene, Shape, Simulator, Solver, Trajectory
 from cophy.scenario.confounders import Confounders
 from cophy.scenario.experiment import with_confounders

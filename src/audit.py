@@ -1,35 +1,6 @@
 """Prove the datasets of a split sound: python src/audit.py scenario=balls size=small (exit code 1 when they are not)"""
 
-import sys
-from pathlib import Path
-
-import hydra
-from omegaconf import DictConfig
-
-from cophy.app import cli
-from cophy.app.composition import to_config
-from cophy.app.datasets import experiments_of, generated_by
-from cophy.app.registration import register
-from cophy.app.schemas import AuditConfig
-
-register()
-
-
-@hydra.main(version_base="1.3", config_path="../conf", config_name="audit")
-def main(cfg: DictConfig) -> None:
-    from cophy.report.audit_report import report_generated, report_released  # matplotlib takes a second to import
-
-    settings = to_config(cfg, AuditConfig)
-    if settings.source.is_generated:
-        directory, pairs = Path(settings.directory), settings.replayed_pairs
-        failing = [
-            line for s in generated_by(settings) for line in report_generated(s, directory, replayed_pairs=pairs)
-        ]
-    else:
-        failing = [line for s in experiments_of(settings, settings.num_objects) for line in report_released(s)]
-    if failing:
-        sys.exit("audit: " + "\naudit: ".join(failing))
-
+from cophy.commands.audit import run
 
 if __name__ == "__main__":
-    cli.run(main)
+    run()

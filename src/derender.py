@@ -1,34 +1,6 @@
 """Positions and presence in every frame, as a de-renderer sees them: python src/derender.py scenario=balls size=small"""
 
-from pathlib import Path
-
-import hydra
-from omegaconf import DictConfig
-
-from cophy.app import cli
-from cophy.app.composition import to_config
-from cophy.app.datasets import experiments_of
-from cophy.app.registration import register
-from cophy.app.schemas import DerenderConfig
-
-register()
-
-
-@hydra.main(version_base="1.3", config_path="../conf", config_name="derender")
-def main(cfg: DictConfig) -> None:
-    from cophy.training.trained.derendering import derender  # torch takes seconds to import; --help does not need it
-    from cophy.training.trained.trained_derenderer import TrainedDerenderer, find_derenderer
-
-    settings = to_config(cfg, DerenderConfig)
-    chosen = experiments_of(settings, settings.num_objects)
-    if settings.derenderer is not None:
-        derenderer = TrainedDerenderer(Path(settings.derenderer))
-    else:
-        counts = set(settings.split.counts(settings.num_objects))
-        derenderer = find_derenderer(Path(settings.outputs), settings.scenario.name, counts, settings.split.name)
-    part, parts = settings.part, settings.parts
-    derender(chosen, derenderer, part=part, parts=parts, workers=settings.workers)
-
+from cophy.commands.derender import run
 
 if __name__ == "__main__":
-    cli.run(main)
+    run()

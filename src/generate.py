@@ -1,43 +1,6 @@
 """Generate the datasets a split needs: python src/generate.py scenario=balls size=small"""
 
-from collections.abc import Iterator
-
-import hydra
-from omegaconf import DictConfig
-
-from cophy.app import cli
-from cophy.app.composition import to_config
-from cophy.app.datasets import generated_by
-from cophy.app.registration import register
-from cophy.app.schemas import GenerateConfig
-from cophy.dataset import generation
-from cophy.dataset.store.shardset import ShardSet
-from cophy.dataset.store.states import States
-from cophy.errors import CophyError
-
-register()
-
-
-@hydra.main(version_base="1.3", config_path="../conf", config_name="generate")
-def main(cfg: DictConfig) -> None:
-    settings = to_config(cfg, GenerateConfig)
-    for states in generated_by(settings):
-        for shards in asked_for(states, settings):
-            if not (shards is states or states.is_finished()):
-                raise CophyError(
-                    f"{states.directory}: other parts are not whole yet; run the same command once they are"
-                )
-            generation.make_part(shards, settings.part, settings.parts, workers=settings.workers)
-
-
-def asked_for(states: States, settings: GenerateConfig) -> Iterator[ShardSet]:
-    """The states, and what is made of them."""
-    yield states
-    if settings.render.modalities:
-        yield states.frames(settings.render)
-    if settings.model is not None:
-        yield states.forecasts(settings.model.settings)
-
+from cophy.commands.generate import run
 
 if __name__ == "__main__":
-    cli.run(main)
+    run()

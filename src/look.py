@@ -1,46 +1,6 @@
 """Pictures of a dataset for people: python src/look.py scenario=balls"""
 
-import logging
-from pathlib import Path
-
-import hydra
-from omegaconf import DictConfig
-
-from cophy.app import cli
-from cophy.app.composition import to_config
-from cophy.app.datasets import generated_by
-from cophy.app.registration import register
-from cophy.app.schemas import LookConfig
-from cophy.dataset import generation
-from cophy.dataset.splits import SPLITS
-from cophy.errors import CophyError
-
-register()
-log = logging.getLogger(__name__)
-
-
-@hydra.main(version_base="1.3", config_path="../conf", config_name="look")
-def main(cfg: DictConfig) -> None:
-    from cophy.drawing.overview import write_contact_sheet, write_experiment
-    from cophy.scenario.rendering.renderer import Renderer
-
-    settings = to_config(cfg, LookConfig)
-    sets = generated_by(settings)
-    trained_on = (states for states in sets if states.spec.num_objects == settings.split.train.num_objects)
-    states, directory = next(trained_on, sets[0]), Path(settings.directory)
-    generation.ensure(states, workers=settings.workers)
-    spec, arrays = states.spec, states.load()
-    if not 0 <= settings.experiment < spec.num_experiments:
-        raise CophyError(f"experiment={settings.experiment} is not among the {spec.num_experiments} of {spec.id}")
-    with Renderer(spec.scenario, settings.render.resolution, settings.render.backend) as renderer:
-        num_shown = write_contact_sheet(directory / "sheet.png", renderer, arrays, settings.num_shown)
-        write_experiment(directory, renderer, arrays, settings.experiment)
-    split = SPLITS[arrays["split"][settings.experiment]]
-    log.info(
-        "%s: sheet.png (A, B, C, D of %d experiments); strip.png, modalities.png, clip.gif and the frames of experiment %d (%s split)",
-        *(directory, num_shown, settings.experiment, split),
-    )
-
+from cophy.commands.look import run
 
 if __name__ == "__main__":
-    cli.run(main)
+    run()

@@ -1,50 +1,6 @@
 """Train and test one model on one split: python src/train.py scenario=balls model=cophynet"""
 
-import logging
-from pathlib import Path
-
-import hydra
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
-from omegaconf import DictConfig
-
-from cophy.app import cli
-from cophy.app.composition import to_config, to_plain
-from cophy.app.registration import register
-from cophy.app.schemas import TrainConfig
-from cophy.app.variants import variant
-
-register()
-log = logging.getLogger(__name__)
-
-
-@hydra.main(version_base="1.3", config_path="../conf", config_name="train")
-def main(cfg: DictConfig) -> float:
-    from cophy.app.assembly import run_configured  # Lightning takes seconds to import; --help does not need it
-    from cophy.training.runs.claim import claimed
-    from cophy.training.runs.identity import Run
-
-    chosen = HydraConfig.get()
-    choices = chosen.runtime.choices
-    run = Run(
-        **{group: choices[group] for group in ("scenario", "split", "model", "ablation")},
-        size=choices["size"] if choices["source"] == "generated" else choices["source"],  # released data have their own
-        positions=cfg.positions,
-        seed=cfg.seed,
-        variant=variant(cfg, choices),
-        directory=Path(chosen.runtime.output_dir),
-    )
-    plain = to_plain(cfg)
-    if choices["hydra/launcher"] != "basic":  # runs go side by side: their bars would overwrite each other
-        plain["trainer"] |= {"enable_progress_bar": False, "enable_model_summary": False}
-    try:
-        with claimed(run):
-            return run_configured(to_config(cfg, TrainConfig), plain, run)
-    except Exception as error:
-        if chosen.mode is RunMode.MULTIRUN:  # the other runs go on; Hydra names only the first that failed
-            log.error("%s failed: %s", run.place, error, exc_info=not cli.is_mendable(error))
-        raise
-
+from cophy.commands.train import run
 
 if __name__ == "__main__":
-    cli.run(main)
+    run()

@@ -11,7 +11,7 @@ import torch
 from filelock import FileLock
 
 from cophy.app.composition import settings
-from cophy.app.registration import register
+from cophy.app.schemas.registration import register
 from cophy.dataset import generation
 from cophy.dataset.feed.batches import to_batch
 from cophy.dataset.feed.confounder_features import confounder_features

@@ -1,5 +1,7 @@
 """Counterfactual learning of physical dynamics (CoPhy, ICLR 2020).
 
+    data = cophy.load("balls", size="small", split="train")  # a torch Dataset
+
 Rooms, each importing only those before it:
 
 scenario: scenes, confounders, do-operations, simulation with PyBullet, and the search for experiments.
@@ -8,7 +10,8 @@ models: what a model may see in, what it says about D out: CoPhyNet, its ablatio
 drawing: pictures for people.
 training: Lightning modules, losses, metrics, runs and what comes out of them.
 report: outputs/ -> the paper's tables, ours beside the paper's numbers.
-app: the edge to Hydra; the commands (src/*.py), tests and benchmarks import it, nothing else does.
+app: the edge to Hydra; commands, tests and benchmarks import it, nothing else does.
+commands: `python src/train.py`, or `cophy-train`, and the others.
 
 Files that all rooms may import:
 
@@ -18,4 +21,19 @@ atomic_files: files that are there whole or not at all.
 bootstrap: means over experiments, and their intervals.
 """
 
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cophy.app.loading import load as load
+
 __version__ = "0.1.0"
+__all__ = ["load"]
+
+
+def __getattr__(name: str) -> Any:
+    """`cophy.load`, imported when it is asked for: it needs every room, and every room imports this file."""
+    if name == "load":
+        from cophy.app.loading import load
+
+        return load
+    raise AttributeError(f"module 'cophy' has no attribute '{name}'")

@@ -13,8 +13,8 @@ import lightning as L
 import torch
 
 from cophy.app.datasets import experiments_of
-from cophy.app.model_schemas import OracleConfig
-from cophy.app.schemas import ESTIMATED, TrainConfig
+from cophy.app.schemas.commands import ESTIMATED, TrainConfig
+from cophy.app.schemas.models import OracleConfig
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.dataset.feed.frame_datamodule import FrameDataModule

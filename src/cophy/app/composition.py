@@ -13,7 +13,9 @@ import cophy
 from cophy.errors import CophyError
 
 OPEN = ("trainer.",)  # takes any argument of lightning.Trainer with +
-CONF = Path(cophy.__file__).parents[2] / "conf"
+PACKAGE = Path(cophy.__file__).parent
+IN_WHEEL = PACKAGE / "conf"  # pyproject.toml puts it there
+CONF = IN_WHEEL if IN_WHEEL.exists() else PACKAGE.parents[1] / "conf"
 
 Config = TypeVar("Config")
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from cophy.app.schemas import AuditConfig, DataConfig, DerenderConfig, TrainConfig
+from cophy.app.schemas.commands import AuditConfig, DataConfig, DerenderConfig, TrainConfig
 from cophy.dataset.source import generated_sets
 from cophy.dataset.store.experiment_set import ExperimentSet
 from cophy.dataset.store.states import States

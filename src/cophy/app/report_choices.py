@@ -11,7 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 from cophy.app.cli import explain
 from cophy.app.composition import composed, to_config, to_plain
 from cophy.app.datasets import generated_by
-from cophy.app.schemas import GenerateConfig, TrainConfig
+from cophy.app.schemas.commands import GenerateConfig, TrainConfig
 from cophy.dataset.splits import Split
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError

@@ -7,7 +7,7 @@ from rich.table import Table
 
 from cophy.dataset import generation
 from cophy.dataset.audit import Check, audit_generated, audit_released
-from cophy.dataset.card import write_card
+from cophy.dataset.cards.dataset_card import write_card
 from cophy.dataset.store.experiment_set import ExperimentSet
 from cophy.dataset.store.states import States
 from cophy.report.audit_page import write_page

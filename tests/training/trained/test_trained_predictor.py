@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from cophy.app.composition import composed, to_plain
-from cophy.app.registration import SCENARIOS
+from cophy.app.schemas.registration import SCENARIOS
 from cophy.errors import CophyError
 from cophy.training.trained.checkpoints import Origin
 from cophy.training.trained.network import build_network

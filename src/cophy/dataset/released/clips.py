@@ -1,6 +1,6 @@
 """RGB frames of released experiments, decoded from their clips when they are asked for."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import cv2
@@ -10,7 +10,7 @@ from cophy.dataset import generation
 from cophy.dataset.released.formats.columns import SEQUENCES
 from cophy.dataset.released.released_spec import ReleasedSpec
 from cophy.dataset.released.untrusted_files import BrokenFileError, open_clip
-from cophy.dataset.store.experiment_set import Clip, ExperimentSet, Reader
+from cophy.dataset.store.experiment_set import Clip, ExperimentSet, Pictures, Reader
 from cophy.errors import CophyError
 
 
@@ -38,6 +38,20 @@ class Clips:
     def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
         """Reads (row of the arrays, sequence, time)."""
         return partial(self._rgb, arrays["experiment"])
+
+    def pictures(self, arrays: dict[str, np.ndarray], modalities: Sequence[str]) -> Pictures:
+        """Decodes both clips of an experiment; there is RGB alone."""
+        if unknown := set(modalities) - {"rgb"}:
+            raise CophyError(f"released data have no {', '.join(sorted(unknown))}, of pictures only rgb")
+        times = range(self.spec.scenario.clock.num_frames)
+
+        def read(row: int) -> dict[str, np.ndarray]:
+            experiment = int(arrays["experiment"][row])
+            if not arrays["clip"][row].all():
+                raise CophyError(f"{self.spec.directory / self.spec.ids[experiment]} lacks a clip")
+            return {"rgb": np.stack([list(self._decoded(experiment, sequence, times)) for sequence in (0, 1)])}
+
+        return read
 
     def _rgb(self, experiment: np.ndarray, row: int, sequence: int, time: int) -> np.ndarray:
         (frame,) = self._decoded(int(experiment[row]), sequence, range(time, time + 1))

@@ -12,6 +12,7 @@ from cophy.scenario.rendering.frames import RenderSettings
 
 Clip = tuple[int, int, np.ndarray]  # experiment of a shard, sequence, RGB (T, R, R, 3) uint8
 Reader = Callable[[int, int, int], np.ndarray]  # row of the arrays, sequence, time -> RGB (R, R, 3) uint8
+Pictures = Callable[[int], dict[str, np.ndarray]]  # row of the arrays -> both sequences, by modality
 
 
 ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual")  # docs/oracles.md
@@ -99,4 +100,12 @@ class FrameSource(Protocol):
 
     def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
         """Reads frames of the experiments of these arrays; for one process alone."""
+        ...
+
+    def pictures(self, arrays: dict[str, np.ndarray], modalities: Sequence[str]) -> Pictures:
+        """Reads both sequences of an experiment of these arrays, (2, T, R, R, ...) each; for one process alone.
+
+        Raises:
+            CophyError: there are no pictures of one of the modalities.
+        """
         ...

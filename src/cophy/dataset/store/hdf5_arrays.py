@@ -23,11 +23,20 @@ class Field:
 
     shape: of the whole array. dtype: as NumPy writes it.
     storage: how HDF5 stores it (chunks, filters), as keywords of `h5py.Group.create_dataset`.
+    axes, unit, meaning: for people; the file holds them as attributes of the array. unit: empty where there is none.
     """
 
     shape: tuple[int, ...]
     dtype: str
     storage: Mapping[str, Any] = field(default_factory=dict)
+    axes: str = ""
+    unit: str = ""
+    meaning: str = ""
+
+    def attributes(self) -> dict[str, str]:
+        """What the file says of the array."""
+        said = {"axes": self.axes, "unit": self.unit, "meaning": self.meaning}
+        return {name: text for name, text in said.items() if text}
 
 
 Fields = Mapping[str, Field]  # by the name of the array, in the order in which a file stores them
@@ -43,7 +52,8 @@ def encode(arrays: Mapping[str, np.ndarray], fields: Fields) -> bytes:
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver=OLDEST_FORMAT) as file:
         for name, field in fields.items():
-            file.create_dataset(name, data=arrays[name], track_times=False, **field.storage)
+            array = file.create_dataset(name, data=arrays[name], track_times=False, **field.storage)
+            array.attrs.update(field.attributes())
     return buffer.getvalue()
 
 
@@ -58,10 +68,13 @@ def creating(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Itera
     """
     with h5py.File(path, "w", libver=OLDEST_FORMAT) as file:
         file.attrs.update(attributes)
-        yield {
+        arrays = {
             name: file.create_dataset(name, field.shape, field.dtype, track_times=False, **field.storage)
             for name, field in fields.items()
         }
+        for name, field in fields.items():
+            arrays[name].attrs.update(field.attributes())
+        yield arrays
 
 
 @contextmanager

@@ -2,33 +2,45 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import h5py
 import hdf5plugin
 import numpy as np
 
 from cophy.dataset import generation
-from cophy.dataset.store.experiment_set import Clip, ExperimentSet, Reader
+from cophy.dataset.cards.picture_card import write_picture_card
+from cophy.dataset.store.experiment_set import Clip, ExperimentSet, Pictures, Reader
 from cophy.dataset.store.hdf5_arrays import Field, Fields, creating
 from cophy.dataset.store.shardset import ShardSet
 from cophy.scenario.rendering.frames import NO_OBJECT, Frames, RenderSettings
 from cophy.scenario.rendering.renderer import Renderer
 
+Read = TypeVar("Read")
 FORMAT_VERSION = 1  # raise it when what is stored, or what a picture looks like, changes
 FRAMES_PER_CHUNK = 5  # a random frame costs the decompression of five
 CHANNELS = {"rgb": ((3,), "|u1"), "depth": ((), "<u2"), "segmentation": ((), "|u1")}
+AXES = "experiment, sequence (0: AB, 1: CD), frame, row, column"
+SAID = {
+    "rgb": {"axes": f"{AXES}, red green blue", "meaning": "colours"},
+    "depth": {"axes": AXES, "unit": "mm", "meaning": "distance along the camera's axis; 0 where there is nothing"},
+    "segmentation": {"axes": AXES, "meaning": f"slot of the object that is seen; {NO_OBJECT} where there is none"},
+    "boxes": {
+        "axes": "experiment, sequence (0: AB, 1: CD), frame, slot, x1 y1 x2 y2",
+        "unit": "px",
+        "meaning": "first and last column and row of what is seen of the object; -1 where it is not seen",
+    },
+}
 
 
 class Images(ShardSet):
     """Pictures of every frame of AB (sequence 0) and CD (1), in a directory below that of the states.
 
-    rgb: (experiment, 2, T, R, R, 3) uint8. depth: (experiment, 2, T, R, R) uint16, millimetres along the camera's axis,
-    0 where there is nothing. segmentation: the same shape, uint8, slot or 255. boxes: (experiment, 2, T, slot, 4) int16,
-    first and last column and row (x1, y1, x2, y2) of what is seen of the object, -1 where nothing is.
+    rgb: (experiment, 2, T, R, R, 3) uint8. depth: (experiment, 2, T, R, R) uint16. segmentation: the same shape, uint8.
+    boxes: (experiment, 2, T, slot, 4) int16. `SAID` has their units and meanings.
     """
 
     def __init__(self, states: ExperimentSet, render: RenderSettings) -> None:
@@ -54,17 +66,31 @@ class Images(ShardSet):
 
     def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
         """Reads frames; keeps the shards open that it has read from."""
+        opened = self._opening()
+        return lambda row, sequence, time: opened(row, lambda stored, place: stored["rgb"][place, sequence, time])
+
+    def pictures(self, arrays: dict[str, np.ndarray], modalities: Sequence[str]) -> Pictures:
+        """Reads experiments; keeps the shards open that it has read from."""
+        opened = self._opening()
+
+        def read(row: int) -> dict[str, np.ndarray]:
+            return opened(row, lambda stored, place: {name: stored[name][place] for name in modalities})
+
+        return read
+
+    def _opening(self) -> Callable[[int, Callable[[h5py.File, int], Read]], Read]:
+        """Opens the shard of an experiment once, and reads from it."""
         self.finished_checksums()
-        opened: dict[int, h5py.Dataset] = {}
+        opened: dict[int, h5py.File] = {}
         per_shard = len(self.spec.experiments_of_shard(0))
 
-        def read(row: int, sequence: int, time: int) -> np.ndarray:
+        def read(row: int, part: Callable[[h5py.File, int], Read]) -> Read:
             shard, place = divmod(row, per_shard)
             with self.explained(shard):
                 if shard not in opened:
                     self.check(self.path(shard), shard)
-                    opened[shard] = h5py.File(self.path(shard), "r")["rgb"]
-                return np.asarray(opened[shard][place, sequence, time])
+                    opened[shard] = h5py.File(self.path(shard), "r")
+                return part(opened[shard], place)
 
         return read
 
@@ -99,6 +125,11 @@ class Images(ShardSet):
                 advance(1)
             return {"CPU-s inside PyBullet's camera": renderer.camera_seconds}
 
+    def write_manifest(self) -> None:
+        """Vouch for finished pictures, and say what they are."""
+        super().write_manifest()
+        write_picture_card(self.directory, self.title, self.command, self.fields(0))
+
     def check(self, path: Path, shard: int) -> None:
         """The right arrays, and of the states that lie beside them; pixels have checksums of their own."""
         with self.opened(path, shard):
@@ -112,11 +143,11 @@ class Images(ShardSet):
         size, scenario = self.render.resolution, self.spec.scenario
         sequences = (len(self.spec.experiments_of_shard(shard)), 2, scenario.clock.num_frames)
         fields = {
-            name: _field((*sequences, size, size, *channels), dtype)
+            name: _field(name, (*sequences, size, size, *channels), dtype)
             for name, (channels, dtype) in CHANNELS.items()
             if name in self.render.modalities
         }
-        return fields | {"boxes": _field((*sequences, scenario.num_slots, 4), "<i2")}
+        return fields | {"boxes": _field("boxes", (*sequences, scenario.num_slots, 4), "<i2")}
 
     def description(self) -> dict[str, Any]:
         """What was rendered, of which dataset, and with what."""
@@ -124,9 +155,11 @@ class Images(ShardSet):
         return {"format": FORMAT_VERSION, "dataset": self.states.id, "render": settings, "no_object": NO_OBJECT}
 
 
-def _field(shape: tuple[int, ...], dtype: str) -> Field:
+def _field(name: str, shape: tuple[int, ...], dtype: str) -> Field:
     chunks = (1, 1, FRAMES_PER_CHUNK, *shape[3:])
-    return Field(shape, dtype, storage={"chunks": chunks, "fletcher32": True, **hdf5plugin.Zstd(clevel=3)})
+    return Field(
+        shape, dtype, storage={"chunks": chunks, "fletcher32": True, **hdf5plugin.Zstd(clevel=3)}, **SAID[name]
+    )
 
 
 def bounding_boxes(frames: Frames, num_slots: int) -> np.ndarray:

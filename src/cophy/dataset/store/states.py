@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cophy.dataset.card import write_card
+from cophy.dataset.cards.dataset_card import write_card
 from cophy.dataset.spec import FORMAT_VERSION, DatasetSpec
 from cophy.dataset.splits import SPLITS
 from cophy.dataset.store.experiment_arrays import experiment_fields, to_arrays

@@ -8,7 +8,7 @@ from typing import Any
 
 from omegaconf import MISSING
 
-from cophy.app.model_schemas import OracleConfig
+from cophy.app.schemas.models import OracleConfig
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
@@ -164,7 +164,7 @@ class TrainConfig(RenderDataConfig):
     """train.py. seed: of the training. render, num_images, num_objects: what a de-renderer is trained on.
 
     derenderer: checkpoint of the one whose estimates a predictor sees; None finds it in outputs/. model: a schema of
-    `model_schemas`, or any keys for a model of one's own. logger: a `_target_` and its arguments each.
+    `models`, or any keys for a model of one's own. logger: a `_target_` and its arguments each.
     """
 
     source: Source = MISSING

@@ -5,15 +5,7 @@ They live in groups of their own (`schema/...`), so that `glob(*)` over scenario
 
 from hydra.core.config_store import ConfigStore
 
-from cophy.app.model_schemas import (
-    CoPhyNetConfig,
-    CopyBConfig,
-    CopyCConfig,
-    DerendererConfig,
-    InteractionNetworkConfig,
-    OracleConfig,
-)
-from cophy.app.schemas import (
+from cophy.app.schemas.commands import (
     AuditConfig,
     DerenderConfig,
     ExportConfig,
@@ -22,6 +14,14 @@ from cophy.app.schemas import (
     PredictConfig,
     ReportConfig,
     TrainConfig,
+)
+from cophy.app.schemas.models import (
+    CoPhyNetConfig,
+    CopyBConfig,
+    CopyCConfig,
+    DerendererConfig,
+    InteractionNetworkConfig,
+    OracleConfig,
 )
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size

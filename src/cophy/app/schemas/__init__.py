@@ -1,0 +1,6 @@
+"""Types and ranges of the keys of every command.
+
+commands: one dataclass per command.
+models: the same for the choices of `model=`.
+registration: makes the schemas known to Hydra.
+"""

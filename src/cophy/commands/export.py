@@ -1,0 +1,30 @@
+"""Generated data in the format of a released dataset: python src/export.py scenario=balls root=/where/CoPhy_224"""
+
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig
+
+from cophy.app import cli
+from cophy.app.composition import CONF, to_config
+from cophy.app.datasets import generated_by
+from cophy.app.schemas.commands import ExportConfig
+from cophy.app.schemas.registration import register
+
+register()
+
+
+@hydra.main(version_base="1.3", config_path=str(CONF), config_name="export")
+def main(cfg: DictConfig) -> None:
+    from cophy.dataset.released.export.exporter import export
+
+    settings = to_config(cfg, ExportConfig)
+    for states in generated_by(settings):
+        images = states.frames(settings.render)
+        images.ensure(workers=settings.workers)
+        export(images, Path(settings.root))
+
+
+def run() -> None:
+    """The command, as `pip install` puts it on the PATH."""
+    cli.run(main)

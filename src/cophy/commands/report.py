@@ -1,0 +1,29 @@
+"""Tables and figures from outputs/, ours beside the paper's numbers: python src/report.py"""
+
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig
+
+from cophy.app import cli
+from cophy.app.composition import CONF, to_config
+from cophy.app.schemas.commands import ReportConfig
+from cophy.app.schemas.registration import register
+
+register()
+
+
+@hydra.main(version_base="1.3", config_path=str(CONF), config_name="report")
+def main(cfg: DictConfig) -> None:
+    from cophy.app.report_choices import ComposedChoices
+    from cophy.report.pipeline import write_report  # matplotlib takes a second to import; --help does not need it
+
+    settings = to_config(cfg, ReportConfig)
+    choices = ComposedChoices(settings.source.name, Path(settings.data_dir))
+    twins = settings.source.is_generated  # only generated data have them
+    write_report(Path(settings.outputs), Path(settings.directory), choices, has_twins=twins)
+
+
+def run() -> None:
+    """The command, as `pip install` puts it on the PATH."""
+    cli.run(main)

@@ -1,0 +1,70 @@
+"""The data from Python."""
+
+import pickle
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+import cophy
+from cophy.dataset.splits import SPLITS
+from cophy.dataset.store.states import States
+from cophy.errors import CophyError
+from tests.conftest import SCENARIOS, tiny_spec
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_items_are_what_is_stored(name: str, tiny_data: Path) -> None:
+    stored = States(tiny_spec(name), tiny_data).load()
+    for split in (*SPLITS, None):
+        data = cophy.load(name, size="tiny", split=split, data_dir=str(tiny_data))
+        rows = (
+            np.arange(len(stored["split"])) if split is None else np.flatnonzero(stored["split"] == SPLITS.index(split))
+        )
+        assert len(data) == len(rows) > 0
+        for item in (0, len(data) - 1):
+            assert data[item].keys() == stored.keys()
+            for field, value in data[item].items():
+                np.testing.assert_array_equal(value.numpy(), stored[field][rows[item]])
+
+
+def test_pictures_are_read_when_asked_for_by_any_process(tiny_data: Path) -> None:
+    data = cophy.load(
+        "collision",
+        size="tiny",
+        split="test",
+        modalities=("states", "rgb", "depth"),
+        resolution=16,
+        data_dir=str(tiny_data),
+    )
+    first = data[0]
+    assert "segmentation" not in first
+    (path,) = States(tiny_spec("collision"), tiny_data).directory.glob("images-16-*/shard-00000.h5")
+    with h5py.File(path) as shard:
+        np.testing.assert_array_equal(first["rgb"], shard["rgb"][data.rows[0]])
+        np.testing.assert_array_equal(first["depth"], shard["depth"][data.rows[0]])
+    assert (pickle.loads(pickle.dumps(data))[0]["rgb"] == first["rgb"]).all()
+    (batch,) = DataLoader(data, batch_size=len(data), num_workers=2)
+    assert batch["rgb"].shape == (len(data), *first["rgb"].shape)
+    assert batch["depth"].dtype is torch.int32
+    assert (batch["rgb"][0] == first["rgb"]).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"scenario": "ball"}, "did you mean balls"),
+        ({"split": "testing"}, "there are train, val, test"),
+        ({"modalities": ("colour",)}, "there are states, rgb"),
+        ({"num_objects": 9}, "no count for balls with 9 objects"),
+        ({"source": "cophy"}, "needs source.root="),
+        ({"resolution": 3}, "between 16 and 4096"),
+    ],
+)
+def test_mistakes_are_named(wrong: dict, said: str, tiny_data: Path) -> None:
+    asked = {"scenario": "balls", "size": "tiny", "data_dir": str(tiny_data), "modalities": ("rgb",), **wrong}
+    with pytest.raises(CophyError, match=said):
+        cophy.load(**asked)
