@@ -21,8 +21,20 @@ CONTEXT = {
     "recordSet": "cr:recordSet",
     "field": "cr:field",
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "source": "cr:source",
+    "fileSet": "cr:fileSet",
+    "extract": "cr:extract",
+    "column": "cr:column",
+    "includes": "cr:includes",
     "isArray": "cr:isArray",
     "arrayShape": "cr:arrayShape",
+}
+SHARDS = {
+    "@type": "cr:FileSet",
+    "@id": "shards",
+    "name": "shards",
+    "encodingFormat": "application/x-hdf5",
+    "includes": "shard-*.h5",
 }
 PAPER = "F. Baradel, N. Neverova, J. Mille, G. Mori, C. Wolf: CoPhy: Counterfactual Learning of Physical Dynamics, ICLR 2020"
 TYPES = {"f": "sc:Float", "b": "sc:Boolean", "u": "sc:Integer", "i": "sc:Integer"}  # by letter of NumPy's type
@@ -48,7 +60,7 @@ def croissant(spec: DatasetSpec, directory: Path, fields: Fields) -> str:
         "license": "https://www.apache.org/licenses/LICENSE-2.0",
         "citeAs": PAPER,
         "version": f"{spec.generating_configuration()['format']}.0.0",
-        "distribution": [_file(name, checksum) for name, checksum in checksums.items()],
+        "distribution": [*(_file(name, checksum) for name, checksum in checksums.items()), SHARDS],
         "recordSet": [
             {
                 "@type": "cr:RecordSet",
@@ -81,5 +93,6 @@ def _field(name: str, field: Field) -> dict[str, Any]:
         "name": name,
         "description": f"{field.axes}: {field.meaning}{unit}",
         "dataType": TYPES[field.dtype[1]],
+        "source": {"fileSet": {"@id": SHARDS["@id"]}, "extract": {"column": name}},
         **array,
     }

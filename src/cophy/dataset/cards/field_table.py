@@ -1,5 +1,6 @@
 """Arrays of a shard as a table for people."""
 
+import numpy as np
 from tabulate import tabulate
 
 from cophy.dataset.store.hdf5_arrays import Field, Fields
@@ -14,4 +15,4 @@ def field_table(fields: Fields) -> str:
 def _said(field: Field) -> tuple[str, ...]:
     sizes = ", ".join(map(str, field.shape[1:]))
     axes = f"{field.axes} (…, {sizes})" if sizes else field.axes
-    return f"{field.dtype}", axes, field.unit, field.meaning
+    return np.dtype(field.dtype).name, axes, field.unit, field.meaning
