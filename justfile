@@ -3,6 +3,8 @@ bin := ".venv/bin"
 # the lock is for Python 3.11; others take what pyproject.toml allows, with the same torch
 packages := if python =~ "python3.11$" { "-r requirements.lock" } else { "torch==2.13.0 -e '.[dev]'" }
 
+demo := "+table=collision split=all hydra.sweep.dir=outputs/demo"
+
 # list the recipes
 default:
     @just --list
@@ -11,11 +13,13 @@ default:
 setup:
     @cmp -s requirements.lock .venv/requirements.lock || ({{python}} -m venv .venv && {{bin}}/pip install {{packages}} && {{bin}}/pip install --no-deps -e . && cp requirements.lock .venv/)
 
-# generate data, train and test the models of one split of the paper's Table 4 and print the table (six minutes on two cores)
+# pictures of collisions, five models on them, and the table and figures of their results (minutes on two cores)
 demo: setup
-    {{bin}}/python src/train.py +table=collision split=all trainer.max_epochs=15 hydra.sweep.dir=outputs/demo
+    {{bin}}/python src/look.py scenario=collision directory=outputs/demo/pictures
+    {{bin}}/python src/train.py {{demo}} +row=copy_c,copy_b
+    {{bin}}/python src/train.py {{demo}} +row=cophynet,in,npe,in_sup trainer.max_epochs=15 hydra/launcher=local
     {{bin}}/python src/report.py outputs=outputs/demo
-    @echo "Curves: {{bin}}/tensorboard --logdir outputs/demo"
+    @echo "Pictures: outputs/demo/pictures. Curves: {{bin}}/tensorboard --logdir outputs/demo"
 
 # run the tests (minutes), or some: just test tests/models
 test *args: setup

@@ -14,6 +14,8 @@ from cophy.dataset.splits import SPLITS
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 from tests.conftest import SCENARIOS, tiny_spec
+from tests.dataset.released.indexing import LISTS
+from tests.dataset.released.trees import CoPhyTree
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -51,6 +53,25 @@ def test_pictures_are_read_when_asked_for_by_any_process(tiny_data: Path) -> Non
     assert batch["rgb"].shape == (len(data), *first["rgb"].shape)
     assert batch["depth"].dtype is torch.int32
     assert (batch["rgb"][0] == first["rgb"]).all()
+
+
+def test_released_data_are_read_alike(tmp_path: Path) -> None:
+    root = tmp_path / "it's here"  # a path that Hydra's grammar would not take as it is
+    tree = CoPhyTree(root)
+    for name in "0123":
+        tree.balls(name)
+    tree.lists("ballsCF", "_4", **LISTS)
+    asked = {"source": "cophy", "root": str(root), "data_dir": str(tmp_path / "data"), "modalities": ("rgb",)}
+    data = cophy.load("balls", split="train", **asked)
+    assert len(data) == len(LISTS["train"])
+    assert data[0]["rgb"].shape == (2, 30, 32, 32, 3)
+    stored = np.load(root / "ballsCF" / "4" / "0" / "ab" / "states.npy")
+    np.testing.assert_array_equal(data[0]["states"][0], stored.astype("<f4"))
+    (root / "ballsCF" / "4" / "1" / "cd" / "rgb.mp4").unlink()
+    with pytest.raises(CophyError, match=r"rgb\.mp4"):
+        cophy.load("balls", split="train", **asked)[1]
+    with pytest.raises(CophyError, match="no depth"):
+        cophy.load("balls", split="test", **{**asked, "modalities": ("depth",)})[0]
 
 
 @pytest.mark.parametrize(
