@@ -65,6 +65,19 @@ def test_a_truncated_shard_is_named_with_its_remedy_and_made_again(
     assert digests(directory) == digests(finished)
 
 
+def test_shards_that_changed_places_are_made_again(finished: Path, tmp_path: Path, caplog) -> None:
+    """Without a manifest nothing else tells: both are whole."""
+    directory = copy(finished, tmp_path)
+    (directory / MANIFEST).unlink()
+    first, second = (States(SPEC, tmp_path).path(shard) for shard in (0, 1))
+    kept = first.rename(first.with_suffix(".kept"))
+    second.rename(first)
+    kept.rename(second)
+    generate(tmp_path, workers=1)
+    assert f"it is shard {directory.name}/1, expected {directory.name}/0" in caplog.text
+    assert digests(directory) == digests(finished)
+
+
 def test_a_full_disk_is_said_in_one_line_and_loses_nothing(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,7 @@ ARRAYS = {"mass": np.arange(8, dtype="f4").reshape(2, 4), "cell": np.array([3, 1
 @pytest.mark.parametrize("fault", ["missing", "external", "soft link", "shape", "type", "cut off"])
 def test_what_is_no_plain_array_is_damage(tmp_path: Path, fault: str) -> None:
     path = tmp_path / "shard.h5"
-    path.write_bytes(encode(ARRAYS, FIELDS))
+    path.write_bytes(encode(ARRAYS, FIELDS, {}))
     if fault == "cut off":
         path.write_bytes(path.read_bytes()[:100])
     else:
@@ -35,7 +35,7 @@ def test_what_is_no_plain_array_is_damage(tmp_path: Path, fault: str) -> None:
 
 def test_arrays_have_their_own_names_in_files(tmp_path: Path) -> None:
     path = tmp_path / "shard.h5"
-    path.write_bytes(encode(ARRAYS, FIELDS))
+    path.write_bytes(encode(ARRAYS, FIELDS, {}))
     with h5py.File(path) as file:
         assert set(file) == {"mass", "cell"}
     with reading(path, FIELDS, {}) as stored:

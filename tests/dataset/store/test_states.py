@@ -23,7 +23,7 @@ def check_with_last(states: States, tmp_path: Path, name: str, value: int) -> No
     arrays = states.read(0)
     arrays[name][-1] = value
     path = tmp_path / "shard.h5"
-    path.write_bytes(encode(arrays, FIELDS))
+    path.write_bytes(encode(arrays, FIELDS, {}))
     states.check(path, 0)
 
 
@@ -47,7 +47,7 @@ def test_an_object_that_is_only_half_there_is_damage(
 
 
 def test_what_is_read_encodes_to_the_same_bytes(states: States) -> None:
-    assert encode(states.read(0), FIELDS) == states.path(0).read_bytes()
+    assert encode(states.read(0), FIELDS, states.attributes(0)) == states.path(0).read_bytes()
 
 
 def test_shards_are_concatenated_in_order(states: States) -> None:

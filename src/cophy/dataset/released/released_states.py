@@ -92,7 +92,7 @@ class ReleasedStates(ExperimentSet):
             except (BrokenFileError, BrokenExperimentError) as error:
                 arrays["problem"][row] = str(error).encode()[:MAX_PROBLEM_BYTES]
             advance(1)
-        path.write_bytes(encode(arrays, fields))
+        path.write_bytes(encode(arrays, fields, self.attributes(shard)))
         return {}
 
     def fields(self, shard: int) -> Fields:

@@ -51,7 +51,7 @@ class Estimates(ShardSet):
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Look at every frame of a shard."""
         done = 0
-        with creating(path, self.fields(shard), self.sources(shard)) as stored:
+        with creating(path, self.fields(shard), self.attributes(shard)) as stored:
             for row, sequence, rgb in self.frames.sequences(shard):
                 stored["position"][row, sequence], stored["presence_logit"][row, sequence] = self.derenderer(rgb)
                 advance(row - done)

@@ -59,7 +59,7 @@ class OracleForecasts(ShardSet):
                             stored[f"{oracle}_{name}"][index + twin] = value
                 advance(2)
         advance(len(self.spec.experiments_of_shard(shard)) - len(rows))
-        path.write_bytes(encode(stored, fields))
+        path.write_bytes(encode(stored, fields, self.attributes(shard)))
         return {"simulations": simulator.num_simulations}
 
     def fields(self, shard: int) -> Fields:

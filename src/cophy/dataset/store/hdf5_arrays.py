@@ -47,10 +47,17 @@ def empty_arrays(fields: Fields) -> dict[str, np.ndarray]:
     return {name: np.zeros(field.shape, field.dtype) for name, field in fields.items()}
 
 
-def encode(arrays: Mapping[str, np.ndarray], fields: Fields) -> bytes:
-    """The bytes of a file with these arrays; equal arrays give equal bytes, because no time is stored."""
+def encode(arrays: Mapping[str, np.ndarray], fields: Fields, attributes: Mapping[str, str]) -> bytes:
+    """The bytes of a file; equal arrays give equal bytes, because no time is stored.
+
+    Args:
+        arrays: of the file.
+        fields: of its arrays.
+        attributes: of the file.
+    """
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver=OLDEST_FORMAT) as file:
+        file.attrs.update(attributes)
         for name, field in fields.items():
             array = file.create_dataset(name, data=arrays[name], track_times=False, **field.storage)
             array.attrs.update(field.attributes())
@@ -111,3 +118,17 @@ def _array_in(file: h5py.File, name: str, field: Field) -> h5py.Dataset:
         expected = f"{np.dtype(field.dtype)} {field.shape}"
         raise DamagedShardError(f"'{name}' is {array.dtype} {array.shape}, expected {expected}")
     return array
+
+
+def attribute(path: Path, name: str) -> str | None:
+    """An attribute of a file, or None where it has none.
+
+    Raises:
+        DamagedShardError: it is no HDF5 file.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            found = file.attrs.get(name)
+    except (OSError, RuntimeError) as error:
+        raise DamagedShardError(" ".join(str(error).split())) from error
+    return found if isinstance(found, str) else None

@@ -107,7 +107,7 @@ class Images(ShardSet):
         stride = scenario.clock.states_per_frame
         with (
             Renderer(scenario, self.render.resolution, self.render.backend) as renderer,
-            creating(path, self.fields(shard), self.sources(shard)) as stored,
+            creating(path, self.fields(shard), self.attributes(shard)) as stored,
         ):
             for row, states in enumerate(arrays["states"]):
                 for sequence in (0, 1):

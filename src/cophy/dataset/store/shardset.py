@@ -12,9 +12,11 @@ import numpy as np
 
 from cophy.atomic_files import sha256
 from cophy.dataset.store import manifest
-from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, reading
+from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, attribute, reading
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
+
+IDENTITY = "shard"  # the attribute of a file
 
 
 class Sharded(Protocol):
@@ -71,8 +73,12 @@ class ShardSet(ABC):
         """What the manifest says besides versions and checksums."""
 
     def sources(self, shard: int) -> dict[str, str]:
-        """SHA-256 of the files that a shard was made of; they are stored as its attributes."""
+        """SHA-256 of the files that a shard was made of; they are stored among its attributes."""
         return {}
+
+    def attributes(self, shard: int) -> dict[str, str]:
+        """What a file says of itself: which shard of which set it is, and of which files it was made."""
+        return {IDENTITY: f"{self.directory.name}/{shard}", **self.sources(shard)}
 
     def remarks(self) -> list[str]:
         """What to say where the set is not there: a sentence about each thing beside it that may be taken for it."""
@@ -114,7 +120,16 @@ class ShardSet(ABC):
         return self.finished_checksums()[self.path(shard).name]
 
     def verify(self, shard: int, checksum: str | None) -> None:
-        """Raise DamagedShardError unless the shard is there, has the checksum (if one is known) and is whole."""
+        """Raise DamagedShardError unless the shard is there, is the one of its name, and is whole.
+
+        Args:
+            shard: its number.
+            checksum: that it has to have; where none is known, the file says itself which shard it is.
+        """
+        if checksum is None:
+            found, expected = attribute(self.path(shard), IDENTITY), self.attributes(shard)[IDENTITY]
+            if found != expected:
+                raise DamagedShardError(f"it is shard {found}, expected {expected}")
         self._compare(shard, checksum)
         self.check(self.path(shard), shard)
 

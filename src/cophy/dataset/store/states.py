@@ -72,7 +72,7 @@ class States(ExperimentSet):
                     spec.num_objects, data_seed=spec.data_seed, pair=pair, simulator=simulator
                 )
                 advance(2)
-        path.write_bytes(encode(to_arrays(experiments, indices, spec), self.fields(shard)))
+        path.write_bytes(encode(to_arrays(experiments, indices, spec), self.fields(shard), self.attributes(shard)))
         return {"simulations": simulator.num_simulations}
 
     def check_arrays(self, arrays: dict[str, np.ndarray], shard: int) -> None:
