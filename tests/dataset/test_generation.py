@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from cophy.dataset.spec import FORMAT_VERSION
 from cophy.dataset.store.manifest import MANIFEST
@@ -82,6 +83,7 @@ def test_a_full_disk_is_said_in_one_line_and_loses_nothing(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*args: object) -> None:
+        (directory / "shard-00002.h5.half.tmp").write_bytes(b"half")
         raise OSError(errno.ENOSPC, "No space left on device")
 
     directory = copy(finished, tmp_path)
@@ -89,6 +91,37 @@ def test_a_full_disk_is_said_in_one_line_and_loses_nothing(
     monkeypatch.setattr(States, "write_manifest", full)
     with pytest.raises(CophyError, match=r"no space left .*2 of 2 shards are done.*same command again"):
         generate(tmp_path, workers=1)
+    assert not list(directory.glob("*.tmp"))
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_finished_data_that_cannot_be_written_to_are_only_checked(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog, whole: bool
+) -> None:
+    def refused(lock: FileLock) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", lock.lock_file)
+
+    caplog.set_level("INFO")
+    directory = copy(finished, tmp_path)
+    monkeypatch.setattr(FileLock, "acquire", refused)
+    if whole:
+        generate(tmp_path, workers=1)
+        assert "2 shards, all whole" in caplog.text
+    else:
+        (directory / MANIFEST).unlink()
+        with pytest.raises(CophyError, match="cannot be written to"):
+            generate(tmp_path, workers=1)
+
+
+def test_a_pipe_in_the_place_of_a_shard_is_damage(finished: Path, tmp_path: Path) -> None:
+    directory = copy(finished, tmp_path)
+    path = States(SPEC, tmp_path).path(1)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(CophyError, match="it is a pipe"):
+        States(SPEC, tmp_path).load()
+    generate(tmp_path, workers=1)
+    assert digests(directory) == digests(finished)
 
 
 def test_a_dataset_of_another_format_is_named_with_its_remedy(finished: Path, tmp_path: Path, caplog) -> None:

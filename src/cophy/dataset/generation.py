@@ -4,6 +4,7 @@ import errno
 import logging
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -25,6 +26,7 @@ from cophy.dataset.store.manifest import MANIFEST
 from cophy.dataset.store.shardset import ShardSet
 from cophy.errors import CophyError
 
+FULL = 1 << 20  # bytes; ours: with less left, a worker that died is taken to have died of that
 log = logging.getLogger(__name__)
 _done: "Synchronized[int]"  # experiments generated so far, shared by the workers of one run
 
@@ -39,10 +41,12 @@ def make(shards: ShardSet, *, workers: int) -> None:
     """Make what is missing or damaged; several processes may ask for it at once, one works."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker imports the script that started it
         raise CophyError("put what your script runs under `if __name__ == '__main__':`, generation starts processes")
-    with _explain_full_disk(shards), _locked(shards.directory):
-        for leftover in shards.directory.glob("*.tmp"):
-            leftover.unlink()
+    with _explain_full_disk(shards), _locked(shards.directory) as writable, _without_leftovers(shards.directory):
         missing = _missing(shards, range(shards.spec.num_shards))
+        if not (writable or shards.is_finished()) or (missing and not writable):
+            raise CophyError(
+                f"{shards.directory} is not whole and cannot be written to: make it writable, or move with data_dir="
+            )
         if missing:
             for remark in shards.remarks():
                 log.warning(remark)
@@ -121,6 +125,8 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
                         took[what] += value
                 advance_to(done.value)
         except BrokenProcessPool as error:
+            if shutil.disk_usage(shards.directory).free < FULL:  # HDF5 can end a process that cannot write
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
             raise CophyError(
                 "a worker process was killed (out of memory?): finished shards are kept, run again with fewer workers="
             ) from error
@@ -173,11 +179,34 @@ def progress_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
 
 
 @contextmanager
-def _locked(directory: Path) -> Iterator[None]:
-    """One process at a time works on a dataset."""
+def _locked(directory: Path) -> Iterator[bool]:
+    """One process at a time works on a dataset. What is finished can also be read where nothing can be written: then False."""
     directory.mkdir(parents=True, exist_ok=True)
-    with FileLock(directory / ".lock"):
+    try:
+        lock = FileLock(directory / ".lock").acquire()
+    except OSError as error:
+        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+            raise
+        yield False
+        return
+    with lock:
+        yield True
+
+
+@contextmanager
+def _without_leftovers(directory: Path) -> Iterator[None]:
+    """Begin and end without half-written files: of a process that was killed, or of workers that a full disk ended."""
+    try:
+        _remove_leftovers(directory)
         yield
+    except BaseException:
+        _remove_leftovers(directory)
+        raise
+
+
+def _remove_leftovers(directory: Path) -> None:
+    for leftover in directory.glob("*.tmp"):
+        leftover.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -10,9 +10,10 @@ from cophy.errors import CophyError
 from tests.dataset.copies import SPEC, copy
 
 
-def test_a_damaged_manifest_is_named_with_its_remedy(finished: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", ["{", "[" * 100_000], ids=["cut off", "nested deeply"])
+def test_a_damaged_manifest_is_named_with_its_remedy(finished: Path, tmp_path: Path, content: str) -> None:
     directory = copy(finished, tmp_path)
-    (directory / MANIFEST).write_text("{")
+    (directory / MANIFEST).write_text(content)
     with pytest.raises(CophyError, match=r"manifest\.json is damaged .* delete it and run"):
         States(SPEC, tmp_path).load()
 

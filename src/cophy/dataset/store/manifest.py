@@ -29,7 +29,7 @@ def read_checksums(directory: Path, shards: Sequence[str]) -> dict[str, str] | N
         checksums = json.loads(path.read_bytes())["shards"]
         if set(checksums) != set(shards) or not all(isinstance(value, str) for value in checksums.values()):
             raise ValueError("its list of shards is not this dataset's")
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise DamagedManifestError(str(error)) from error
     return dict(checksums)
 
@@ -38,7 +38,7 @@ def read_format(directory: Path) -> int | None:
     """The version of the format that a dataset says it has, or None where it does not say."""
     try:
         found = json.loads((directory / MANIFEST).read_bytes())["configuration"]["format"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return found if isinstance(found, int) else None
 

@@ -126,11 +126,11 @@ class ShardSet(ABC):
             shard: its number.
             checksum: that it has to have; where none is known, the file says itself which shard it is.
         """
+        self._compare(shard, checksum)
         if checksum is None:
             found, expected = attribute(self.path(shard), IDENTITY), self.attributes(shard)[IDENTITY]
             if found != expected:
                 raise DamagedShardError(f"it is shard {found}, expected {expected}")
-        self._compare(shard, checksum)
         self.check(self.path(shard), shard)
 
     def read(self, shard: int) -> dict[str, np.ndarray]:
@@ -167,6 +167,8 @@ class ShardSet(ABC):
         return [self.path(shard) for shard in range(self.spec.num_shards)]
 
     def _compare(self, shard: int, checksum: str | None) -> None:
+        if self.path(shard).is_fifo():  # to open it would wait for ever
+            raise DamagedShardError("it is a pipe")
         try:
             found = None if checksum is None else sha256(self.path(shard))
         except OSError as error:
