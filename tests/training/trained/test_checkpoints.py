@@ -3,9 +3,11 @@
 import errno
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from cophy.errors import CophyError
 from cophy.training.trained.checkpoints import WholeCheckpoints
 
 
@@ -24,3 +26,22 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_older_one(
     with pytest.raises(OSError, match="No space left"):
         WholeCheckpoints().save_checkpoint({"weights": torch.zeros(3)}, path)
     assert [file.read_bytes() for file in path.parent.iterdir()] == [before]
+
+
+def test_a_flipped_byte_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
+    path, rng = tmp_path / "best.ckpt", np.random.default_rng(0)
+    saved = {"weights": torch.arange(300.0), "epoch": 3}
+    WholeCheckpoints().save_checkpoint(saved, path)
+    content, noticed = path.read_bytes(), 0
+    start = content.index(torch.arange(300.0).numpy().tobytes())
+    for place in [start + 5, *rng.integers(0, len(content), 300).tolist()]:
+        path.write_bytes(content[:place] + bytes([content[place] ^ 64]) + content[place + 1 :])
+        try:
+            found = WholeCheckpoints().load_checkpoint(path, weights_only=True)
+        except CophyError:
+            noticed += 1
+        else:
+            assert place != start + 5
+            assert found.keys() == saved.keys()
+            assert torch.equal(found["weights"], saved["weights"])
+    assert noticed > 100

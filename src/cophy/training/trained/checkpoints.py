@@ -2,6 +2,8 @@
 
 import io
 import pickle
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,13 +64,23 @@ class Checkpoint:
 
 
 class WholeCheckpoints(TorchCheckpointIO):
-    """Writes beside the target and renames; Lightning's own goes through /tmp, and a full disk cuts what was there."""
+    """Writes beside the target and renames; Lightning's own goes through /tmp, and a full disk cuts what was there.
+
+    What was damaged since is refused: torch stores checksums, but does not look at them.
+    """
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         content = io.BytesIO()
         torch.save(checkpoint, content)
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         write_atomically(Path(path), content.getvalue())
+
+    def load_checkpoint(self, path: Any, map_location: Any = None, weights_only: bool | None = None) -> dict[str, Any]:
+        check_whole(read_bytes(Path(path)), Path(path))
+        try:
+            return super().load_checkpoint(path, map_location, weights_only)
+        except ERRORS as error:
+            raise CophyError(f"{path} is no checkpoint of train.py, or a damaged one") from error
 
 
 def read_bytes(path: Path) -> bytes:
@@ -80,12 +92,28 @@ def read_bytes(path: Path) -> bytes:
     return path.read_bytes()
 
 
+def check_whole(content: bytes, source: Path) -> None:
+    """Compare the checksums (CRC-32) that torch stored with what is there.
+
+    Raises:
+        CophyError: They differ; the message names `source`.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            damaged = archive.testzip()
+    except (*ERRORS, zipfile.BadZipFile, OSError, zlib.error) as error:
+        raise CophyError(f"{source} is no checkpoint of train.py, or a damaged one ({error})") from error
+    if damaged is not None:
+        raise CophyError(f"{source} is damaged ({damaged} is not what was written): take another, or train again")
+
+
 def read_checkpoint(content: bytes, source: Path) -> Checkpoint:
     """What train.py saved.
 
     Raises:
         CophyError: It is something else; the message names `source`.
     """
+    check_whole(content, source)
     try:
         saved = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
         origin, weights = Origin(**saved[ORIGIN]), dict(saved["state_dict"])
