@@ -1,11 +1,19 @@
 """Runs as a table."""
 
 import json
+import math
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
+import pytest
+import torch
 
 from cophy.report.tables.run_table import read_runs, summary
+from cophy.report.tables.stored_run import MAX_BYTES
+from cophy.training.runs.results import write_predictions
+from cophy.types import Prediction, Targets
 from tests.report.lines import measured, run
 
 
@@ -21,18 +29,100 @@ def test_the_summary_tells_the_cost() -> None:
     assert summary(pd.DataFrame()).empty
 
 
+PLACE = Path("blocktower/3to3/cophynet/full/ground_truth/seed0")
+CONFIG = "trainer: {max_epochs: 40}\nmodel: {a: 1}\nscenario: {task: {metric_dims: 3}}\nsplit: {epochs_factor: 2}\n"
+
+
+def content(**changes: Any) -> dict[str, Any]:
+    """metrics.json of a run."""
+    line = run("cophynet") | {"dataset_ids": ["3-x"], "metrics": {"mse": 0.2}, "intervals": {"mse": [0.1, 0.3]}}
+    return {key: value for key, value in (line | changes).items() if key not in ("error", "directory")}
+
+
+def leave(directory: Path, metrics: str | bytes, config: str = CONFIG) -> None:
+    """What train.py leaves of a run, with predictions of two experiments."""
+    (directory / ".hydra").mkdir(parents=True)
+    (directory / ".hydra" / "config.yaml").write_text(config)
+    (directory / "metrics.json").write_bytes(metrics.encode() if isinstance(metrics, str) else metrics)
+    position, present = torch.zeros(2, 5, 3, 3), torch.ones(2, 3, dtype=torch.bool)
+    targets = Targets(
+        position, torch.ones(2, 5, 3, dtype=torch.bool), present, position[:, 0], present,
+        torch.zeros(2, 3, 2, dtype=torch.long), torch.zeros(2, dtype=torch.long),
+    )  # fmt: skip
+    write_predictions(directory, Prediction(position), targets)
+
+
 def test_only_runs_in_their_own_place_are_read(tmp_path: Path) -> None:
-    content = run("cophynet") | {"dataset_ids": ["3-x"], "metrics": {"mse": 0.2}, "intervals": {"mse": [0.1, 0.3]}}
-    del content["error"], content["directory"]
-    place = Path("blocktower/3to3/cophynet/full/ground_truth/seed0")
-    for directory in (place, Path("demo") / place, Path("blocktower/3to3/in/full/ground_truth/seed0")):
-        (tmp_path / directory / ".hydra").mkdir(parents=True)
-        config = (
-            "trainer: {max_epochs: 40}\nmodel: {a: 1}\nscenario: {task: {metric_dims: 3}}\nsplit: {epochs_factor: 2}\n"
-        )
-        (tmp_path / directory / ".hydra" / "config.yaml").write_text(config)
-        (tmp_path / directory / "metrics.json").write_text(json.dumps(content))
+    for directory in (PLACE, Path("demo") / PLACE, Path("blocktower/3to3/in/full/ground_truth/seed0")):
+        leave(tmp_path / directory, json.dumps(content()))
     runs = read_runs(tmp_path, lambda names: {"model": {"a": 1}})
-    assert list(runs["directory"]) == [tmp_path / place]
+    assert list(runs["directory"]) == [tmp_path / PLACE]
     assert runs.iloc[0][["mse", "mse_low", "mse_high", "epochs"]].tolist() == [0.2, 0.1, 0.3, 80]
     assert read_runs(tmp_path, lambda names: {"model": {"a": 2}}).empty
+
+
+STRANGE = {
+    "no JSON": "{",
+    "nested deeply": "[" * 100_000,
+    "a list": "[]",
+    "many digits": json.dumps(content()).replace("0.2", "1" + "0" * 400, 1),
+    "a text for a number": json.dumps(content(metrics={"mse": "0.2"})),
+    "NaN": json.dumps(content(metrics={"mse": math.nan})),
+    "infinite": json.dumps(content(metrics={"mse": math.inf})),
+    "negative": json.dumps(content(metrics={"mse": -1.0})),
+    "no interval": json.dumps(content(intervals={})),
+    "half an interval": json.dumps(content(intervals={"mse": [0.1]})),
+    "no metrics": json.dumps(content(metrics=None)),
+    "a path for a name": json.dumps(content(model="../../cophynet")),
+    "datasets that are no names": json.dumps(content(dataset_ids=[1])),
+    "too large": " " * (MAX_BYTES + 1),
+}
+
+
+@pytest.mark.parametrize("metrics", STRANGE.values(), ids=STRANGE.keys())
+def test_a_strange_run_is_named_and_passed_over(tmp_path: Path, metrics: str, caplog: pytest.LogCaptureFixture) -> None:
+    leave(tmp_path / PLACE, metrics)
+    leave(tmp_path / PLACE.with_name("seed1"), json.dumps(content(seed=1)))
+    assert read_runs(tmp_path, lambda names: {})["seed"].tolist() == [1]
+    assert f"{PLACE}/metrics.json" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "config", ["a: &a [1]\nb: *a\n" + CONFIG, "[]", "trainer: 3", ": : :", "scenario: {task: {metric_dims: x}}"]
+)
+def test_a_strange_configuration_is_named_and_passed_over(
+    tmp_path: Path, config: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    leave(tmp_path / PLACE, json.dumps(content()), config)
+    assert read_runs(tmp_path, lambda names: {}).empty
+    assert f"{PLACE}/metrics.json is skipped" in caplog.text
+
+
+def pickled() -> dict[str, Any]:
+    return {"position": np.array([print], dtype=object)}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"position": np.zeros((2, 5, 3))},
+        {"position": np.full((2, 5, 3, 3), np.nan, "f4")},
+        {"pair": np.zeros(2)},
+        {"presence": np.ones((2, 4), bool)},
+        {"target": np.zeros(3)},
+        pickled(),
+    ],
+    ids=["shape", "NaN", "pair", "presence", "target", "pickled"],
+)
+def test_strange_predictions_are_named_and_their_run_passed_over(
+    tmp_path: Path, changes: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    leave(tmp_path / PLACE, json.dumps(content()))
+    path = tmp_path / PLACE / "predictions.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez_compressed(path, **(arrays | changes))
+    assert read_runs(tmp_path, lambda names: {}).empty
+    assert "predictions.npz is missing or damaged" in caplog.text
+    path.unlink()
+    assert read_runs(tmp_path, lambda names: {}).empty

@@ -1,6 +1,5 @@
 """outputs/ as a table with one line per run, each checked to be what its name says."""
 
-import json
 import logging
 from collections.abc import Callable
 from pathlib import Path
@@ -12,13 +11,12 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from cophy.errors import CophyError
+from cophy.report.tables.stored_run import NAMES, read_configuration, read_line
 from cophy.training.runs.identity import FAILURE, METRICS, differences, plain_value
 
 log = logging.getLogger(__name__)
 
-NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "size")
 IN_CAPTIONS = "trainer.max_epochs"  # may differ, as sizes may: each table says how long was trained
-COUNTS = ("num_train", "num_test", "training_seconds", "wall_seconds")
 
 
 def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]) -> pd.DataFrame:
@@ -39,13 +37,13 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
     lines = []
     for path in sorted(found for place in places for found in outputs.glob(place)):
         try:
-            line = _failure(path) if path.name == FAILURE else _finished(path)
+            line = read_line(path)
             changes = _misplaced(line, path.parent)
             if line["error"] is None:
                 changes += _changes(line, path.parent, keys_of(line))
         except (CophyError, OmegaConfBaseException) as error:
             log.warning("%s is skipped: %s", path, " ".join(str(error).split()))
-        except (ValueError, KeyError, TypeError, OSError, YAMLError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError, YAMLError) as error:
             log.warning("%s is skipped: %s: %s", path, type(error).__name__, " ".join(str(error).split()))
         else:
             if changes:
@@ -85,22 +83,6 @@ def _show(values: "pd.Series[float]") -> str:
     return f"{values.mean():.3f}" if len(values) == 1 else f"{values.mean():.3f} ± {values.std():.3f}"
 
 
-def _finished(path: Path) -> dict[str, Any]:
-    content = json.loads(path.read_bytes())
-    line = {name: content[name] for name in (*NAMES, *COUNTS, "dataset_ids")} | {"error": None}
-    line["derenderer"] = content.get("derenderer")  # None where true positions were seen
-    line["variant"] = content.get("variant", "")
-    for name, value in content["metrics"].items():
-        low, high = content["intervals"][name]
-        line |= {name: float(value), f"{name}_low": float(low), f"{name}_high": float(high)}
-    return line
-
-
-def _failure(path: Path) -> dict[str, Any]:
-    content = json.loads(path.read_bytes())
-    return {name: content[name] for name in (*NAMES, "error")} | {"variant": content.get("variant", "")}
-
-
 def _misplaced(line: dict[str, Any], directory: Path) -> list[str]:
     names = [str(line[name]) for name in NAMES[:5]] + [f"seed{line['seed']}{line['variant']}"]
     return [] if list(directory.parts[-6:]) == names else [f"it says it is {'/'.join(names)}"]
@@ -108,7 +90,7 @@ def _misplaced(line: dict[str, Any], directory: Path) -> list[str]:
 
 def _changes(line: dict[str, Any], directory: Path, expected: dict[str, Any]) -> list[str]:
     """Keys of the run's own configuration that are not what its names stand for; notes its epochs and metric_dims in the line."""
-    own = OmegaConf.load(directory / ".hydra" / "config.yaml")
+    own = read_configuration(directory / ".hydra" / "config.yaml")
     line["epochs"], line["metric_dims"] = _epochs(line, own), int(own.scenario.task.metric_dims)
     changed = (pair for key, value in expected.items() for pair in differences(key, plain_value(own, key), value))
     return [f"{key}={value}" for key, value in changed if key != IN_CAPTIONS]

@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,9 +104,25 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             optional = [name for name in ("draw_variance",) if name in file]
-            return {name: file[name] for name in ("initial", "presence", "target", "position", "pair", *optional)}
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+            found = {name: file[name] for name in ("initial", "presence", "target", "position", "pair", *optional)}
+        _check_shapes(found)
+    except (OSError, ValueError, KeyError, EOFError, MemoryError, BadZipFile, zlib.error) as error:
         raise CophyError(f"{path} is missing or damaged ({error}): make that run again") from error
+    return found
+
+
+def _check_shapes(found: Mapping[str, np.ndarray]) -> None:
+    """Raise ValueError where arrays are not those of one test split, or hold what is no number."""
+    target = found["target"]
+    count, steps, slots, _ = target.shape
+    expected: dict[str, tuple[int, ...]] = dict.fromkeys(found, (count, steps, slots, 3))
+    expected |= {"initial": (count, slots, 3), "presence": (count, slots), "pair": (count,)}
+    wrong = [name for name, array in found.items() if array.shape != expected[name]]
+    if wrong or found["presence"].dtype != bool or not np.issubdtype(found["pair"].dtype, np.integer):
+        raise ValueError(f"shape or type of {', '.join(wrong) or 'presence or pair'}")
+    numbers = {name: found[name] for name in found if name not in ("presence", "pair")}
+    if bad := [name for name, array in numbers.items() if array.dtype.kind != "f" or not np.isfinite(array).all()]:
+        raise ValueError(f"no finite numbers in {', '.join(bad)}")
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
