@@ -11,7 +11,7 @@ from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, Batch, Inputs, Predicti
 
 ABLATIONS = ("full", "static_gating", "mlp", "single_step", "feedforward", "gt_confounders")
 INTERACTION_NETWORKS = ("in", "npe", "in gt_confounders", "npe gt_confounders")
-BASELINES = (*INTERACTION_NETWORKS, "copy_b", "copy_c")
+OTHERS = (*INTERACTION_NETWORKS, "copy_b", "copy_c", "alongside")
 SEES_LOOKS = ("model.object_type=true", "model.pose=true")
 
 

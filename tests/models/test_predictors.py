@@ -9,15 +9,15 @@ from torch import nn
 from cophy.models.baselines import CopyB, CopyC
 from cophy.training.losses import position_loss, stability_loss
 from cophy.types import Batch, Inputs, map_tensors, take
-from tests.models.networks import ABLATIONS, BASELINES, build, permuted, present
+from tests.models.networks import ABLATIONS, OTHERS, build, permuted, present
 
 
-@pytest.fixture(params=[*(name for name in ABLATIONS if name != "mlp"), *BASELINES])
+@pytest.fixture(params=[*(name for name in ABLATIONS if name != "mlp"), *OTHERS])
 def network(request: pytest.FixtureRequest) -> nn.Module:
     return build(request.param)
 
 
-@pytest.fixture(params=[*ABLATIONS, *BASELINES])
+@pytest.fixture(params=[*ABLATIONS, *OTHERS])
 def any_network(request: pytest.FixtureRequest) -> nn.Module:
     return build(request.param)
 
@@ -62,7 +62,7 @@ def test_an_experiment_does_not_depend_on_its_batch(any_network: nn.Module, inpu
     )
 
 
-@pytest.mark.parametrize("choice", [*ABLATIONS, "in", "npe", "in gt_confounders"])
+@pytest.mark.parametrize("choice", [*ABLATIONS, "in", "npe", "in gt_confounders", "alongside"])
 def test_every_parameter_gets_a_gradient(choice: str, tower_batch: Batch) -> None:
     network = build(choice)
     prediction = network(tower_batch.inputs)
@@ -82,7 +82,7 @@ def test_what_never_sees_ab_cannot_tell_twins_apart(choice: str, inputs: Inputs)
     torch.testing.assert_close(position[::2], position[1::2])
 
 
-@pytest.mark.parametrize("ablation", ["full", "static_gating", "mlp", "single_step"])
+@pytest.mark.parametrize("ablation", ["full", "static_gating", "mlp", "single_step", "alongside"])
 def test_counterfactual_models_read_ab(ablation: str, inputs: Inputs) -> None:
     position = build(ablation)(inputs).position
     assert (position[::2] - position[1::2]).abs().max() > 1e-6
@@ -95,7 +95,7 @@ def test_true_confounders_replace_ab(choice: str, inputs: Inputs) -> None:
     torch.testing.assert_close(network(blind).position, network(inputs).position)
 
 
-@pytest.mark.parametrize("choice", [*ABLATIONS, *BASELINES])
+@pytest.mark.parametrize("choice", [*ABLATIONS, *OTHERS])
 def test_only_what_is_configured_to_see_true_confounders_needs_them(choice: str, inputs: Inputs) -> None:
     network, without = build(choice), replace(inputs, confounders=None)
     if "gt_confounders" in choice:
@@ -105,7 +105,7 @@ def test_only_what_is_configured_to_see_true_confounders_needs_them(choice: str,
         torch.testing.assert_close(network(without).position, network(inputs).position)
 
 
-@pytest.mark.parametrize("choice", [*(name for name in ABLATIONS if name != "mlp"), *BASELINES])
+@pytest.mark.parametrize("choice", [*(name for name in ABLATIONS if name != "mlp"), *OTHERS])
 def test_a_batch_without_any_object_is_answered(choice: str, inputs: Inputs) -> None:
     nothing = torch.zeros_like(inputs.presence)
     empty = replace(inputs, presence=nothing, observed_presence=nothing)

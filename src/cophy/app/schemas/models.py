@@ -42,6 +42,25 @@ class CoPhyNetConfig:
 
 
 @dataclass
+class AlongsideConfig:
+    """cophy.models.alongside.Alongside, which explains its arguments."""
+
+    _target_: str = "cophy.models.alongside.Alongside"
+    hidden_dim: int = MISSING
+    edge_layers: int = MISSING
+    temperature: float = MISSING
+    arena_half_width: float | None = MISSING
+    object_type: bool = MISSING
+    pose: bool = MISSING
+
+    def __post_init__(self) -> None:
+        if self.hidden_dim < 1 or self.edge_layers < 2:
+            raise ValueError("model: hidden_dim must be at least 1, edge_layers at least 2")
+        if self.temperature <= 0:
+            raise ValueError(f"model.temperature={self.temperature} must be positive")
+
+
+@dataclass
 class InteractionNetworkConfig:
     """cophy.models.baselines.InteractionNetwork, which explains its arguments."""
 

@@ -16,6 +16,7 @@ from cophy.app.schemas.commands import (
     TrainConfig,
 )
 from cophy.app.schemas.models import (
+    AlongsideConfig,
     CoPhyNetConfig,
     CopyBConfig,
     CopyCConfig,
@@ -48,6 +49,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "render": {"render": RenderSettings},
     "model": {
         "cophynet": CoPhyNetConfig,
+        "alongside": AlongsideConfig,
         "interaction_network": InteractionNetworkConfig,
         "derenderer": DerendererConfig,
         "oracle": OracleConfig,
