@@ -1,7 +1,7 @@
 python := `command -v python3.11 || command -v python3.10 || command -v python3`
 bin := ".venv/bin"
 # the lock is for Python 3.11; others take what pyproject.toml allows, with the same torch
-packages := if python =~ "python3.11$" { "-r requirements.lock" } else { "torch==2.13.0 -e '.[dev]'" }
+packages := if python =~ "python3.11$" { "-r requirements.lock" } else { "torch==2.13.0 -e '.[dev,docs]'" }
 
 demo := "+table=collision split=all hydra.sweep.dir=outputs/demo"
 
@@ -36,6 +36,11 @@ test-cluster *args: setup
 # format, lint and type checks
 check: setup
     {{bin}}/ruff format --check && {{bin}}/ruff check && {{bin}}/mypy
+
+# build the documentation as a site, docs/_build/html; a link that leads nowhere or a failing cell of the tutorial is an error
+docs: setup
+    {{bin}}/python -m sphinx --quiet --fail-on-warning --keep-going -d docs/_build/doctrees docs docs/_build/html
+    @echo "docs/_build/html/index.html"
 
 # measure speed: ratios within one run
 bench *args: setup

@@ -6,18 +6,22 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "src"))
-# The tutorial's cells run in a process of their own, in the root of the checkout.
+# The tutorial's cells run in a process of their own: they find this checkout and the commands of its environment
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH")]))
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
 project = "cophy"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build"]
+nitpicky = True
+nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries, whose lists of names are on the network
 
 html_theme = "furo"
 html_title = "cophy"
 
 # Python: Google style, as in the code
 autodoc_member_order = "bysource"
+autodoc_inherit_docstrings = False
 autodoc_typehints = "none"
 napoleon_use_ivar = True
 
@@ -26,6 +30,8 @@ myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 myst_links_external_new_tab = True
 
-# The tutorial is executed by tests/test_readme.py; the site shows what its cells printed then
-nb_execution_mode = "off"
-suppress_warnings = ["config.cache"]
+# The tutorial is executed when it has changed, and a cell that fails ends the build
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_output_stderr = "remove"

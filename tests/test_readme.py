@@ -1,7 +1,10 @@
-"""What README and docs say of choices, commands and files is so."""
+"""What README and docs say of choices, commands and files is so; the README's first steps run."""
 
+import os
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -12,19 +15,25 @@ from hydra.core.override_parser.types import Glob, Override
 from cophy.app.composition import settings
 from tests.conftest import ROOT
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+README = ROOT / "README.md"
+PAGES = [README, *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)]
 SHELL_VARIABLE = re.compile(r"^ +([A-Z])=(\S+)", re.MULTILINE)
-COMMAND = re.compile(r"python (src/\w+\.py[^`\n]*)")
+COMMAND = re.compile(r"(?:python src/|(?<![/\w])cophy-(?=\w+ ))(\w+)(?:\.py)?\b([^`\n]*)")
 UNFINISHED = ("…", "<", "--help", "--config-dir")  # not to be composed as it stands
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
+MAX_README_LINES = 90
 
 
-def commands(page: Path) -> set[tuple[str, ...]]:
+def pages(function: object) -> object:
+    return pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())(function)  # type: ignore[arg-type]
+
+
+def commands(page: Path) -> list[tuple[str, ...]]:
     """The command lines of a page, in words, with shell variables as the page sets them."""
-    text = page.read_text()
+    text = page.read_text().replace("\\\n", " ")
     for name, value in SHELL_VARIABLE.findall(text):
         text = text.replace(f"${name}", value)
-    return {tuple(shlex.split(line, comments=True)) for line in COMMAND.findall(text)}
+    return [(script, *shlex.split(words, comments=True)) for script, words in COMMAND.findall(text)]
 
 
 def first_choice(override: Override) -> str:
@@ -38,23 +47,60 @@ def first_choice(override: Override) -> str:
     return f"{key}={next(override.sweep_string_iterator())}"
 
 
-def test_the_readme_names_every_choice() -> None:
-    readme = (ROOT / "README.md").read_text()
-    for group in ("scenario", "model", "ablation", "table"):
+def run(directory: Path, *words: str) -> str:
+    """A Python program in a directory, with this checkout's package; its output."""
+    path = os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH")]))
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(
+        [sys.executable, *words], cwd=directory, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.read_text().splitlines()) <= MAX_README_LINES
+
+
+def test_the_page_of_commands_names_every_choice() -> None:
+    page = (ROOT / "docs" / "commands.md").read_text()
+    for group in ("scenario", "split", "size", "model", "ablation", "table", "render", "source", "confounders"):
         for path in (ROOT / "conf" / group).iterdir():
-            assert f"`{path.stem}`" in readme, f"{group}={path.stem}"
+            assert f"`{path.stem}`" in page, f"{group}={path.stem}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pages
 def test_every_command_composes(page: Path) -> None:
     for script, *words in commands(page):
         given = [word.split("|")[0] for word in words if word != "-m"]  # `balls|collision`: either
+        assert (ROOT / "src" / f"{script}.py").exists()
         if not any(mark in word for word in words for mark in UNFINISHED):
-            settings(Path(script).stem, *map(first_choice, OverridesParser.create().parse_overrides(given)))
+            settings(script, *map(first_choice, OverridesParser.create().parse_overrides(given)))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pages
 def test_every_link_leads_to_a_file(page: Path) -> None:
     for target in LINK.findall(page.read_text()):
         if "://" not in target:
             assert (page.parent / unquote(target)).exists(), target
+
+
+def test_the_first_steps_run(tiny_data: Path, tmp_path: Path) -> None:
+    section = README.read_text().split("## First steps")[1].split("## ")[0]
+    steps = COMMAND.findall(section.split("\n\n")[1])
+    assert [script for script, _ in steps] == ["look", "train", "train", "report"]
+    for script, words in steps:
+        tiny = [] if script == "report" else ["size=tiny", f"data_dir={tiny_data}"]
+        quick = ["trainer.max_epochs=1"] if script == "train" else []
+        run(tmp_path, str(ROOT / "src" / f"{script}.py"), *shlex.split(words, comments=True), *tiny, *quick)
+    assert (tmp_path / "outputs" / "look" / "collision" / "strip.png").exists()
+    assert len(list((tmp_path / "outputs").glob("collision/all/**/metrics.json"))) == 3
+    assert "CoPhyNet" in (tmp_path / "outputs" / "report" / "tables.md").read_text()
+
+
+def test_the_readme_reads_data_from_python(tiny_data: Path, tmp_path: Path) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    assert 'size="small"' in code
+    code = code.replace('size="small"', f'size="tiny", data_dir={str(tiny_data)!r}')
+    (tmp_path / "own.py").write_text(code + "print(len(data), tuple(positions.shape), tuple(mass.shape))\n")
+    assert run(tmp_path, "own.py").split("\n")[-2] == "34 (2, 120, 9, 3) (9,)"

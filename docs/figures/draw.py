@@ -6,6 +6,7 @@ Experiments are of `size=tiny`, which is generated in `data/` first where it is 
 import csv
 from collections import defaultdict
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
 
@@ -17,16 +18,17 @@ from matplotlib.patches import FancyBboxPatch
 
 from cophy.app.composition import settings
 from cophy.app.datasets import generated_by
-from cophy.app.registration import register
+from cophy.app.schemas.registration import register
 from cophy.dataset import generation
 from cophy.drawing.overview import render_sequence
 from cophy.scenario import Camera
 from cophy.scenario.rendering.renderer import Renderer
+from cophy.scenario.search.towers import TOWER_CELLS
 
 HERE = Path(__file__).parent
 RUNS = HERE.parent / "results" / "results_format3.csv"
-EXPERIMENT = 28  # A falls, C stands; its twin, 29, falls in both
-NEAR = Camera(eye=[0.0, -9.5, 2.6], target=[0.0, 0.0, 1.35], field_of_view_deg=30)
+EXPERIMENT = 4  # A falls, C stands; its twin, 5, falls in both
+NEAR = Camera(eye=[-0.35, -9.5, 2.9], target=[-0.35, 0.0, 1.3], field_of_view_deg=32)
 PIXELS = 420
 OBSERVED, COUNTERFACTUAL, DO = "#1f5fa8", "#a8561f", "#1d7a3d"
 
@@ -87,11 +89,10 @@ def task(towers: Towers) -> Figure:
     slot = int(towers.arrays["do_slot"][EXPERIMENT])
     x = float(towers.arrays["do_offset"][EXPERIMENT][0])
     color = list(towers.scenario.colors)[slot]
-    titles = (("A: the start", "after 0.6 s", "after 1 s", "B: the outcome"),) + (
-        ("C: A, changed", "after 0.6 s", "after 1 s", "D: the outcome"),
-    )
+    between = ("after 0.8 s", "after 1 s")
+    titles = (("A: the start", *between, "B: the outcome"), ("C: A, changed", *between, "D: the outcome"))
     for sequence, edge in ((0, OBSERVED), (1, COUNTERFACTUAL)):
-        pictures = towers.frames(EXPERIMENT, sequence, [0, 3, 5, 29])
+        pictures = towers.frames(EXPERIMENT, sequence, [0, 4, 5, 29])
         for axis, picture, title in zip(axes[sequence], pictures, titles[sequence], strict=True):
             show(axis, picture, title, edge)
     for axis in axes[1, 1:]:
@@ -100,7 +101,9 @@ def task(towers: Towers) -> Figure:
     note(figure, 0.05, 0.27, "CD\na model\nsees C\nand has to\npredict D", color=COUNTERFACTUAL, fontsize=11)
     arrow(figure, (0.215, 0.545), (0.215, 0.455), DO)
     side = "left" if x < 0 else "right"
-    note(figure, 0.23, 0.5, f"do-operation: move {color} {abs(x):.2f} m to the {side}", color=DO, ha="left", fontsize=11)
+    note(
+        figure, 0.23, 0.5, f"do-operation: move {color} {abs(x):.2f} m to the {side}", color=DO, ha="left", fontsize=11
+    )
     hidden = "Hidden, and the same in both rows: masses, frictions and the direction of gravity (the confounders)."
     note(figure, 0.55, 0.035, hidden, fontsize=11)
     return figure
@@ -123,23 +126,31 @@ def twins(towers: Towers) -> Figure:
 
 def cells(towers: Towers) -> Figure:
     """One tower of each cell, and how many experiments each has."""
-    names = towers.scenario.cells()
-    counts = np.bincount(towers.arrays["cell"], minlength=len(names))
-    kinds = [cell for cell in range(len(names)) if counts[cell]]
+    counts = np.bincount(towers.arrays["cell"])
+    kinds = np.flatnonzero(counts).tolist()
     figure = Figure(figsize=(10, 5.9))
     axes = figure.subplots(2, len(kinds))
-    figure.subplots_adjust(left=0.07, right=0.985, top=0.83, bottom=0.03, wspace=0.08, hspace=0.16)
+    figure.subplots_adjust(left=0.07, right=0.985, top=0.82, bottom=0.03, wspace=0.08, hspace=0.16)
     for column, cell in enumerate(kinds):
         experiment = int(np.flatnonzero(towers.arrays["cell"] == cell)[0])
         for sequence, edge in ((0, OBSERVED), (1, COUNTERFACTUAL)):
             picture = towers.frames(experiment, sequence, [29])[0]
             show(axes[sequence, column], picture, "BD"[sequence], edge)
         box = axes[0, column].get_position()
-        share = f"{names[cell].replace('_', ' ')}\n{counts[cell]} of {len(towers.arrays['cell'])} experiments"
-        note(figure, (box.x0 + box.x1) / 2, 0.935, share, fontsize=11)
+        text = f"{outcome(cell)}\n{counts[cell]} of {len(towers.arrays['cell'])} experiments"
+        note(figure, (box.x0 + box.x1) / 2, 0.935, text, fontsize=11)
     note(figure, 0.03, 0.64, "end\nof AB", color=OBSERVED)
     note(figure, 0.03, 0.23, "end\nof CD", color=COUNTERFACTUAL)
     return figure
+
+
+def outcome(index: int) -> str:
+    """A cell of towers in words."""
+    cell, words = TOWER_CELLS[index], ("falls", "stands")
+    twin = ", the twin's too" if cell.observed == cell.twin.observed else f", the twin's {words[cell.twin.observed]}"
+    return (
+        f"A {words[cell.observed]}{twin};\nC {words[cell.counterfactual]}, the twin's {words[cell.twin.counterfactual]}"
+    )
 
 
 def seen_and_unseen(towers: Towers) -> Figure:
@@ -165,7 +176,9 @@ def seen_and_unseen(towers: Towers) -> Figure:
 
 def box(axis: Axes, x: float, text: str, color: str, width: float = 1.5) -> None:
     """A rounded box with text around x."""
-    patch = FancyBboxPatch((x - width / 2, 0.2), width, 0.6, boxstyle="round,pad=0.02,rounding_size=0.08", fc=color, ec="0.3")
+    patch = FancyBboxPatch(
+        (x - width / 2, 0.2), width, 0.6, boxstyle="round,pad=0.02,rounding_size=0.08", fc=color, ec="0.3"
+    )
     axis.add_patch(patch)
     axis.text(x, 0.5, text, ha="center", va="center", fontsize=11)
 
@@ -186,7 +199,7 @@ def probe() -> Figure:
     for x, text, color, width in boxes:
         box(axis, x, text, color, width)
     ends = [(x - width / 2, x + width / 2) for x, _, _, width in boxes]
-    for (_, right), (left, _) in zip(ends, ends[1:], strict=False):
+    for (_, right), (left, _) in pairwise(ends):
         axis.annotate("", (left - 0.03, 0.5), (right + 0.03, 0.5), arrowprops={"arrowstyle": "-|>", "lw": 1.5})
     axis.text(7.2, -0.12, "the only part that is trained here", ha="center", fontsize=10)
     axis.text(3.3, -0.12, "trained before, to predict D", ha="center", fontsize=10)
@@ -207,12 +220,16 @@ def oracles() -> Figure:
     axis = figure.subplots()
     values = {text: fmean(mse[name]) for name, text in names.items()}
     values = dict(sorted(values.items(), key=lambda item: -item[1]))
-    bars = axis.barh(list(values), list(values.values()), color=["#c9b6e4" if "oracle" in n else "#a9c8ea" for n in values])
+    bars = axis.barh(
+        list(values), list(values.values()), color=["#c9b6e4" if "oracle" in n else "#a9c8ea" for n in values]
+    )
     for bar, value in zip(bars, values.values(), strict=True):
         label = f"{value:.3f} m²: {100 * (worst - value) / (worst - best):.0f} % of the possible gain"
-        axis.text(value + 0.01, bar.get_y() + bar.get_height() / 2, label, va="center", fontsize=10)
-    axis.axvline(worst, color="0.4", ls=":")
-    axis.axvline(best, color="0.4", ls=":")
+        axis.text(
+            value + 0.01, bar.get_y() + bar.get_height() / 2, label, va="center", fontsize=10, backgroundcolor="white"
+        )
+    axis.axvline(worst, color="0.4", ls=":", zorder=0)
+    axis.axvline(best, color="0.4", ls=":", zorder=0)
     axis.set(xlabel="MSE of D in collisions (m²), mean over seeds; lower is better", xlim=(0, 1.05))
     axis.spines[["top", "right"]].set_visible(False)
     return figure
@@ -222,7 +239,13 @@ def main() -> None:
     """Write all figures beside this file."""
     register()
     towers = Towers()
-    figures = {"task": task(towers), "twins": twins(towers), "cells": cells(towers), "probe": probe(), "oracles": oracles()}
+    figures = {
+        "task": task(towers),
+        "twins": twins(towers),
+        "cells": cells(towers),
+        "probe": probe(),
+        "oracles": oracles(),
+    }
     figures["seen_and_unseen"] = seen_and_unseen(towers)
     for name, figure in figures.items():
         figure.savefig(HERE / f"{name}.png", dpi=110)

@@ -13,13 +13,13 @@ from cophy.scenario.physics.statics import joint_margins
 def difficulty(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> dict[str, np.ndarray]:
     """Name -> (experiment,) values of a whole dataset (`States.load`).
 
-    cell, do_operation: names of the cell and of the kind of do-operation.
-    twins (where twins have other cells): names of both twins' cells.
-    displacement: how far the do-operation moves its object, metres; NaN where it removes one.
-    observed_difference, counterfactual_difference: how far AB, or CD, is from the twin's, metres. A small observed one
-        makes the confounders hard to tell; a small counterfactual one makes them matter little.
-    observed_margin, counterfactual_margin (towers): by statics under the true confounders, how far the centre of mass
-        of A, or C, is from where the tower's outcome flips, metres (of a tower that falls, a lower bound); small is hard.
+    - cell, do_operation: names of the cell and of the kind of do-operation.
+    - twins (where twins have other cells): names of both twins' cells.
+    - displacement: how far the do-operation moves its object, metres; NaN where it removes one.
+    - observed_difference, counterfactual_difference: how far AB, or CD, is from the twin's, metres. A small observed one
+      makes the confounders hard to tell; a small counterfactual one makes them matter little.
+    - observed_margin, counterfactual_margin (towers): by statics under the true confounders, how far the centre of mass
+      of A, or C, is from where the tower's outcome flips, metres (of a tower that falls, a lower bound); small is hard.
     """
     removed = arrays["presence"][:, 0].sum(axis=1) > arrays["presence"][:, 1].sum(axis=1)
     observed, counterfactual = np.repeat(twin_differences(arrays), 2, axis=0).T

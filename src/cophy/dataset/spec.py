@@ -14,7 +14,7 @@ FORMAT_VERSION = 3  # raise it when the arrays of a shard change, or the experim
 
 @dataclass
 class Size:
-    """How many experiments to generate, per scenario and number of objects (conf/size/*.yaml)."""
+    """How many experiments to generate, per scenario and number of objects (files in conf/size)."""
 
     name: str
     experiments_per_shard: int

@@ -46,7 +46,7 @@ class Part:
 
 @dataclass
 class Split:
-    """What is trained and validated on, and what is tested on (conf/split/*.yaml).
+    """What is trained and validated on, and what is tested on (files in conf/split).
 
     epochs_factor: times `trainer.max_epochs`, the epochs that a predictor is trained. Half of the data needs twice as many
     for about as many optimiser steps.

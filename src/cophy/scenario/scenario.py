@@ -1,4 +1,4 @@
-"""What every scenario has: the fields of conf/scenario/*.yaml, and how a twin pair is made."""
+"""What every scenario has: the fields of the files in conf/scenario, and how a twin pair is made."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

@@ -76,9 +76,10 @@ class Scene:
 class Trajectory:
     """Simulated states of one sequence.
 
-    states: (time, slot, 13) float64, at the scenario's state rate from t = 0: position 3,
-        quaternion_xyzw 4, linear velocity 3, angular velocity 3; empty slots are zero.
-    presence: (slot,) bool, which slots hold an object.
+    Attributes:
+        states: (time, slot, 13) float64, at the scenario's state rate from t = 0: position 3,
+            quaternion_xyzw 4, linear velocity 3, angular velocity 3; empty slots are zero.
+        presence: (slot,) bool, which slots hold an object.
     """
 
     states: np.ndarray

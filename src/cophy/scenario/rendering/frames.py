@@ -18,7 +18,7 @@ class Backend(Enum):
 
 @dataclass
 class RenderSettings:
-    """What to render (conf/render/*.yaml). modalities: rgb, depth, segmentation, or none of them."""
+    """What to render (files in conf/render). modalities: rgb, depth, segmentation, or none of them."""
 
     modalities: list[str]
     resolution: int

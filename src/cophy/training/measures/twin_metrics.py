@@ -19,8 +19,8 @@ class TwinDifference(NamedTuple):
     """Squared differences between twins, summed over coordinates, objects and steps; 0 where the twin is not there.
 
     Attributes:
-        error: |ΔP - ΔD|², where ΔP is the predicted difference and ΔD the true one, m².
-        size: |ΔD|², m².
+        error: `|ΔP - ΔD|²`, where ΔP is the predicted difference and ΔD the true one, m².
+        size: `|ΔD|²`, m².
     """
 
     error: Float[Tensor, "batch"]

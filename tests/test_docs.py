@@ -1,0 +1,65 @@
+"""README and docs can be read: short lines, short sentences, and every page, array and picture that is named exists."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from cophy.dataset.store.experiment_arrays import experiment_fields
+from tests.conftest import ROOT, SCENARIOS, tiny_spec
+
+PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)]
+MAX_LINE, MAX_WORDS = 120, 30
+FENCE = re.compile(r"^( *)(```|~~~|:::).*?^\1\2 *$", re.MULTILINE | re.DOTALL)
+NAMED_PAGE = re.compile(r"\bdocs/[\w/]+\.(?:md|py|csv|png)\b")
+
+
+def pages(function: object) -> object:
+    return pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())(function)  # type: ignore[arg-type]
+
+
+def sentences(text: str) -> list[str]:
+    """Of prose, list items and cells of tables; code and intervals in brackets are left out."""
+    text = FENCE.sub("\n\n", text)
+    text = re.sub(r"^ {4,}(?![-*\d]).*$", "", text, flags=re.MULTILINE)  # commands; list items wrap by two
+    text = re.sub(r"`[^`]*`", "code", text)
+    text = re.sub(r"!?\[([^\[\]]*)\]\([^)]*\)", r"\1", text)  # links and pictures are their text
+    text = re.sub(r"\[[^\]]*\d[^\]]*\]", "", text)
+    blocks = re.split(r"\n\s*\n|\n(?=\s*(?:[-*|#>]|\d+\.)\s?)|\|", text)
+    return [sentence for block in blocks for sentence in re.split(r"(?<=[.!?])[\")*_]*\s+", " ".join(block.split()))]
+
+
+def num_words(sentence: str) -> int:
+    return sum(bool(re.search(r"\w", word)) for word in sentence.split())
+
+
+def test_sentences_are_found() -> None:
+    text = "One two. Three `four five`\nsix [7, 8].\n\n- A [link](to.md).\n\n    no sentence here\n\n| a b | c |\n|---|---|\n"
+    assert [num_words(each) for each in sentences(text) if num_words(each)] == [2, 3, 2, 2, 1]
+
+
+@pages
+def test_no_sentence_is_long(page: Path) -> None:
+    assert [each for each in sentences(page.read_text()) if num_words(each) > MAX_WORDS] == []
+
+
+@pages
+def test_no_line_is_long(page: Path) -> None:
+    """But for rows of tables, which Markdown cannot break."""
+    lines = page.read_text().splitlines()
+    assert [line for line in lines if len(line) > MAX_LINE and not line.lstrip().startswith("|")] == []
+
+
+def test_every_page_that_the_code_names_exists() -> None:
+    for folder in ("src", "conf", "benchmarks", "tests"):
+        for path in (ROOT / folder).rglob("*"):
+            if path.suffix in (".py", ".yaml"):
+                for name in NAMED_PAGE.findall(path.read_text()):
+                    assert (ROOT / name).exists(), f"{path}: {name}"
+
+
+def test_the_data_reference_has_every_array() -> None:
+    page = (ROOT / "docs" / "data" / "index.md").read_text()
+    for name in SCENARIOS:
+        for field in experiment_fields(tiny_spec(name), 1):
+            assert f"| `{field}` |" in page, field
