@@ -39,7 +39,7 @@ check: setup
 
 # build the documentation as a site, docs/_build/html; a link that leads nowhere or a failing cell of the tutorial is an error
 docs: setup
-    {{bin}}/python -m sphinx --quiet --fail-on-warning --keep-going -d docs/_build/doctrees docs docs/_build/html
+    {{bin}}/python -m sphinx --quiet --fail-on-warning --keep-going --jobs auto -d docs/_build/doctrees docs docs/_build/html
     @echo "docs/_build/html/index.html"
 
 # measure speed: ratios within one run
