@@ -1,4 +1,4 @@
-"""Write docs/physics.md: closed forms, convergence and cost of the solver settings. python benchmarks/physics.py
+"""Write docs/benchmark/physics.md: closed forms, convergence and cost of the solver settings. python benchmarks/physics.py
 
 Takes about ten minutes on one core. Every number in the document comes from the run that wrote it.
 """
@@ -46,10 +46,11 @@ def main() -> None:
         sections += [convergence(name, count, simulator) for name, count in (("balls", 4), ("collision", 2))]
         sections.append(energies(simulator))
     head = (
-        "# Physics: closed forms, convergence, cost\n\nWritten by `python benchmarks/physics.py`. CPU times are of one "
-        "core of the machine it ran on; compare them with each other.\n"
+        "# Physics\n\nDoes the simulation agree with closed forms, and what do more solver steps change?\n"
+        "This page is written by `python benchmarks/physics.py`. CPU times are of one core of the machine it ran on.\n"
+        "Compare them with each other.\n"
     )
-    (ROOT / "docs" / "physics.md").write_text("\n".join([head, *sections]))
+    (ROOT / "docs" / "benchmark" / "physics.md").write_text("\n".join([head, *sections]))
 
 
 def scenario(name: str) -> Any:
@@ -87,7 +88,7 @@ def closed_forms(simulator: Simulator) -> str:
     lines = [f"| {what} | {expected:.4f} | {found:.4f} | {found - expected:+.4f} |" for what, expected, found in rows]
     head = ["## Closed forms", "", "| | theory | simulated | difference |", "|---|---|---|---|"]
     return "\n".join(
-        [*head, *lines, "", "A standing cylinder slides several per cent short; why was not looked into.", ""]
+        [*head, *lines, "", "A standing cylinder slides several per cent short. Why was not looked into.", ""]
     )
 
 
@@ -184,8 +185,9 @@ def convergence(name: str, num_objects: int, simulator: Simulator) -> str:
         [
             f"## {name.capitalize()}",
             "",
-            f"Observed sequences of {len(scenes)} experiments with {num_objects} objects: distance to the same scene at 960 Hz "
-            f"(time-averaged, of the object that differs most). Their twins are {np.median(twins):.2f} m apart in the median.",
+            f"Observed sequences of {len(scenes)} experiments with {num_objects} objects, compared with the same scenes at 960 Hz.",
+            "Distances are averaged over time, of the object that differs most.",
+            f"For comparison, twins are {np.median(twins):.2f} m apart in the median.",
             "",
             *head_of(("solver", "median, m", "90 % quantile, m", "CPU-ms per simulated second")),
             *lines,
@@ -229,16 +231,17 @@ def energies(simulator: Simulator) -> str:
         [
             "## Energy",
             "",
-            f"{NUM_SEQUENCES} random sequences of four balls, not searched: how many gain more than a share of their initial energy "
-            "from one state to the next, 50 ms later, and the largest gain.",
+            f"{NUM_SEQUENCES} random sequences of four balls, not searched. From one state to the next, 50 ms later, how many gain",
+            "more than a share of their initial energy? And how much is the largest gain?",
             "",
             *head_of(("balls", f"more than {balls.max_energy_gain:.0%}", "more than 5 %", "largest")),
             *lines,
             "",
-            "The impacts that gain are of a heavy ball, itself off the floor, on a light one that lies on it. Friction between the "
-            "two presses the light ball down, so that the floor can stop its sliding at once, while restitution is promised along "
-            "the line of centres: Newton's law of restitution with friction at two contacts does not conserve energy "
-            f"(Kane's paradox). Such sequences are not kept: `max_energy_gain: {balls.max_energy_gain}`.",
+            "The impacts that gain are of a heavy ball, itself off the floor, on a light one that lies on it.",
+            "Friction between the two presses the light ball down, so the floor can stop its sliding at once.",
+            "Meanwhile restitution is promised along the line of centres.",
+            "Newton's law of restitution with friction at two contacts does not conserve energy (Kane's paradox).",
+            f"Such sequences are not kept: `max_energy_gain: {balls.max_energy_gain}`.",
             "",
         ]
     )
