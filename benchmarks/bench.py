@@ -1,6 +1,6 @@
 """Speed as ratios within one run: just bench [training|generation|loading|startup|profile|hours ...]
 
-Prints a table and writes outputs/bench-<topic>.json. CPU times of one thread, medians of five pairs; docs/performance.md
+Prints a table and writes outputs/bench-<topic>.json. CPU times of one thread, medians of five pairs; docs/benchmark/performance.md
 says what they mean. `profile` prints where the time goes, `hours` what `size=paper` costs (a quarter of an hour).
 `just bench training against=../cophy-before` compares the training step with that of another checkout, and measures nothing else.
 """

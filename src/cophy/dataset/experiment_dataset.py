@@ -18,7 +18,7 @@ SIGNED = {np.dtype("<u2"): "<i4"}  # which torch can hardly compute with
 class ExperimentDataset(Dataset[dict[str, Tensor]]):
     """Experiments of one split: states and confounders in memory, pictures read when they are asked for.
 
-    An item is a dict of the arrays of one experiment by the names of the fields (docs/data.md). In what has two sequences, 0 is
+    An item is a dict of the arrays of one experiment by the names of the fields (docs/data/index.md). In what has two sequences, 0 is
     the observed AB and 1 the counterfactual CD. Pictures: rgb (2, T, R, R, 3) uint8; depth (2, T, R, R) int32, mm;
     segmentation (2, T, R, R) uint8. Items of one dataset have equal shapes, so a DataLoader batches them.
 

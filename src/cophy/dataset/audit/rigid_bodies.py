@@ -12,7 +12,7 @@ from cophy.dataset.store.experiment_arrays import CONFOUNDERS_OF_OBJECTS
 from cophy.scenario.physics.energy import largest_gain
 
 ROUNDING_TOLERANCE_M = 1e-5  # of float32
-MAX_PENETRATION = 0.05  # penetration as a share of an object's size: what Bullet needs to turn the fastest balls around (docs/physics.md)
+MAX_PENETRATION = 0.05  # penetration as a share of an object's size: what Bullet needs to turn the fastest balls around (docs/benchmark/physics.md)
 MAX_ENERGY_GAIN = 0.01  # of energy between two states, as conf/scenario/balls.yaml has it
 
 

@@ -15,7 +15,7 @@ Reader = Callable[[int, int, int], np.ndarray]  # row of the arrays, sequence, t
 Pictures = Callable[[int], dict[str, np.ndarray]]  # row of the arrays -> both sequences, by modality
 
 
-ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual")  # docs/oracles.md
+ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual")  # docs/benchmark/oracles.md
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ TESTED_ON = {  # positions= -> what a caption says of it
 }
 
 ORACLES = (
-    "Oracles simulate (docs/oracles.md). They know what A and C show at t = 0 beyond positions: object type and pose. "
+    "Oracles simulate (docs/benchmark/oracles.md). They know what A and C show at t = 0 beyond positions: object type and pose. "
     "A network gets these with model.object_type=true and model.pose=true alone. "
     "What the oracles' draws add to squared errors is estimated and taken out."
 )

@@ -1,4 +1,4 @@
-"""What only the oracles (docs/oracles.md) need of a scenario. Functions dispatch on the scenario's class; others are refused.
+"""What only the oracles (docs/benchmark/oracles.md) need of a scenario. Functions dispatch on the scenario's class; others are refused.
 
 hypotheses: what D could be, its mean and how sure that is.
 resampling: CD of other experiments that the search could have made of the same A and C.

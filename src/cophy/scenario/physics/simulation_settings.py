@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass
 class Solver:
-    """Settings of Bullet's constraint solver; docs/physics.md shows how they were chosen.
+    """Settings of Bullet's constraint solver; docs/benchmark/physics.md shows how they were chosen.
 
     elastic_impacts: resolve penetration apart from velocity and let contacts act only once bodies touch. Otherwise
         impacts gain speed from the push out of penetration, and lose it to a brake within 2 cm before the touch:

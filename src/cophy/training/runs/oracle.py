@@ -1,4 +1,4 @@
-"""The run of an oracle: how far a predictor can get, by the forecasts of the simulator (docs/oracles.md)."""
+"""The run of an oracle: how far a predictor can get, by the forecasts of the simulator (docs/benchmark/oracles.md)."""
 
 import time
 from dataclasses import asdict
