@@ -18,6 +18,7 @@ nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries, whose list
 
 html_theme = "furo"
 html_title = "cophy"
+html_show_copyright = False
 
 # Python: Google style, as in the code
 autodoc_member_order = "bysource"

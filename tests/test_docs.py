@@ -1,6 +1,7 @@
-"""README and docs can be read: short lines, short sentences, and every page, array and picture that is named exists."""
+"""README and docs can be read: short lines and sentences; every page, array and picture that they name exists."""
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -63,3 +64,15 @@ def test_the_data_reference_has_every_array() -> None:
     for name in SCENARIOS:
         for field in experiment_fields(tiny_spec(name), 1):
             assert f"| `{field}` |" in page, field
+
+
+def test_the_figures_are_drawn_from_tiny_data(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = ROOT / "docs" / "figures"
+    (tmp_path / "data").symlink_to(tiny_data)
+    monkeypatch.chdir(tmp_path)
+    figures = runpy.run_path(str(folder / "draw.py"))["figures"]()
+    assert set(figures) == {path.stem for path in folder.glob("*.png")}
+    told = [text.get_text() for text in figures["task"].texts]
+    assert any(text.startswith("do-operation: move") for text in told)
+    bars = [text.get_text() for text in figures["oracles"].axes[0].texts]
+    assert any("100 % of the possible gain" in text for text in bars)

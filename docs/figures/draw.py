@@ -42,7 +42,9 @@ class Towers:
         generation.ensure(states, workers=chosen.workers)
         self.arrays = states.load()
         self.scenario = replace(states.spec.scenario, camera=NEAR)
-        self.seen = states.spec.scenario.seen_configurations(3, states.spec.data_seed)
+        seen = states.spec.scenario.seen_configurations(3, states.spec.data_seed)
+        assert seen is not None, "towers have a seen half"
+        self.seen = seen
 
     def frames(self, experiment: int, sequence: int, times: list[int]) -> np.ndarray:
         """(T, R, R, 3) of AB (0) or CD (1)."""
@@ -235,21 +237,20 @@ def oracles() -> Figure:
     return figure
 
 
-def main() -> None:
-    """Write all figures beside this file."""
+def figures() -> dict[str, Figure]:
+    """All figures by the names of their files; data are looked for in the working directory."""
     register()
     towers = Towers()
-    figures = {
+    return {
         "task": task(towers),
         "twins": twins(towers),
         "cells": cells(towers),
+        "seen_and_unseen": seen_and_unseen(towers),
         "probe": probe(),
         "oracles": oracles(),
     }
-    figures["seen_and_unseen"] = seen_and_unseen(towers)
-    for name, figure in figures.items():
-        figure.savefig(HERE / f"{name}.png", dpi=110)
 
 
 if __name__ == "__main__":
-    main()
+    for name, figure in figures().items():
+        figure.savefig(HERE / f"{name}.png", dpi=110)
