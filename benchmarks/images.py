@@ -16,7 +16,7 @@ from speed_generation import draw, made_states
 
 from cophy.app.schemas.registration import register
 from cophy.dataset.store.images import Images
-from cophy.drawing.overview import render_sequence
+from cophy.drawing.close_up import render_sequence
 from cophy.scenario.rendering.frames import MODALITIES, Backend, Frames, RenderSettings
 from cophy.scenario.rendering.renderer import Renderer
 

@@ -218,11 +218,13 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     )
     assert {path.name for path in look.iterdir()} == {
         "sheet.png",
+        "twins.png",
         "strip.png",
         "modalities.png",
         "clip.gif",
         "AB",
         "CD",
+        "background.png",
     }
     checkpoints = {
         "derenderer": row / "checkpoints" / "best.ckpt",
@@ -230,7 +232,7 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     }
     given = [f"{key}={path}" for key, path in checkpoints.items()]
     files = [f"observed={look / 'AB'}", f"initial={look / 'CD' / '00.png'}", f"truth={look / 'CD'}"]
-    run("predict", *files, *given, f"directory={tmp_path / 'predicted'}")
+    run("predict", *files, *given, f"background={look / 'background.png'}", f"directory={tmp_path / 'predicted'}")
     assert (tmp_path / "predicted" / "prediction.gif").read_bytes()[:4] == b"GIF8"
     assert (tmp_path / "predicted" / "positions.csv").read_text().startswith("frame,object,x_m,y_m,z_m\n0,")
     swapped = run("predict", *files, f"derenderer={checkpoints['predictor']}", given[1], code=1)

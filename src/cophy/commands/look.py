@@ -21,7 +21,9 @@ log = logging.getLogger(__name__)
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="look")
 def main(cfg: DictConfig) -> None:
-    from cophy.drawing.overview import write_contact_sheet, write_experiment
+    from cophy.drawing.modalities import write_modalities
+    from cophy.drawing.overview import write_contact_sheet, write_experiment, write_frames
+    from cophy.drawing.twins import write_twins
     from cophy.scenario.rendering.renderer import Renderer
 
     settings = to_config(cfg, LookConfig)
@@ -32,12 +34,17 @@ def main(cfg: DictConfig) -> None:
     spec, arrays = states.spec, states.load()
     if not 0 <= settings.experiment < spec.num_experiments:
         raise CophyError(f"experiment={settings.experiment} is not among the {spec.num_experiments} of {spec.id}")
+    shown = spec.scenario, arrays, settings.render
+    num_shown = write_contact_sheet(directory / "sheet.png", *shown, settings.num_shown)
+    write_twins(directory / "twins.png", *shown, settings.experiment)
+    write_modalities(directory / "modalities.png", *shown, settings.experiment)
+    write_experiment(directory, *shown, settings.experiment)
     with Renderer(spec.scenario, settings.render.resolution, settings.render.backend) as renderer:
-        num_shown = write_contact_sheet(directory / "sheet.png", renderer, arrays, settings.num_shown)
-        write_experiment(directory, renderer, arrays, settings.experiment)
+        write_frames(directory, renderer, arrays, settings.experiment)
     split = SPLITS[arrays["split"][settings.experiment]]
     log.info(
-        "%s: sheet.png (A, B, C, D of %d experiments); strip.png, modalities.png, clip.gif and the frames of experiment %d (%s split)",
+        "%s: sheet.png (A, B, C, D of %d experiments); of experiment %d (%s split) twins.png, strip.png, modalities.png, clip.gif, "
+        "and every frame in AB/ and CD/",
         *(directory, num_shown, settings.experiment, split),
     )
 

@@ -29,9 +29,11 @@ def main(cfg: DictConfig) -> None:
     check_pair(derenderer, predictor)
     observed, initial = read_frames(Path(settings.observed)), read_frames(Path(settings.initial))[0]
     truth = None if settings.truth is None else read_frames(Path(settings.truth))
+    background = None if settings.background is None else read_frames(Path(settings.background))[0]
     directory, scenario = Path(settings.directory), predictor.scenario
     found = predict(observed, initial, derenderer, predictor)
-    write_counterfactual(directory, found.positions, found.presence, scenario, observed=observed, truth=truth)
+    predicted = found.positions, found.presence, scenario
+    write_counterfactual(directory, *predicted, observed=observed, truth=truth, background=background)
     names = [name for name, present in zip(scenario.colors, found.presence, strict=True) if present]
     log.info("%s: positions.csv, prediction.gif and strip.png; objects in C: %s", directory, ", ".join(names))
 

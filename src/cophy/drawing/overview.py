@@ -1,68 +1,99 @@
 """What look.py shows of a dataset: a contact sheet, and one experiment in time."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from cophy.atomic_files import write_atomically
+from cophy.drawing.close_up import CloseUp, render_sequence
 from cophy.drawing.gifs import gif
+from cophy.drawing.labels.text import Line
+from cophy.drawing.labels.words import Words
 from cophy.drawing.picture_files import write_picture
-from cophy.drawing.sheets import depth_in_grey, grid, segmentation_in_color, side_by_side
+from cophy.drawing.sheets import Row, at, cell_px, labelled, side_by_side, under
 from cophy.scenario import Scenario
-from cophy.scenario.rendering.frames import Frames
+from cophy.scenario.rendering.frames import RenderSettings
 from cophy.scenario.rendering.renderer import Renderer
 
 NUM_STRIP_FRAMES = 6
-TITLES = ("observed AB", "counterfactual CD")
 
 
-def render_sequence(
-    renderer: Renderer, arrays: dict[str, np.ndarray], experiment: int, sequence: int, times: slice | Sequence[int]
-) -> Frames:
-    """Frames of one sequence of a loaded dataset.
-
-    Args:
-        renderer: Of the dataset's scenario.
-        arrays: The dataset.
-        experiment: Index of the experiment.
-        sequence: 0 for AB, 1 for CD.
-        times: Which frames.
-    """
-    states = arrays["states"][experiment, sequence, :: renderer.scenario.clock.states_per_frame][times]
-    return renderer.render(
-        states[..., :3],
-        states[..., 3:7],
-        presence=arrays["presence"][experiment, sequence],
-        shapes=arrays["shape"][experiment].tolist(),
-        background_seed=int(arrays["background_seed"][experiment]),
-    )
+def strip_times(scenario: Scenario) -> list[int]:
+    """The frames of a strip, the first and the last among them."""
+    return [int(time) for time in np.linspace(0, scenario.clock.num_frames - 1, NUM_STRIP_FRAMES)]
 
 
-def write_contact_sheet(path: Path, renderer: Renderer, arrays: dict[str, np.ndarray], num_shown: int) -> int:
-    """A, B, C and D of some experiments, of every twin pair the first.
+def write_contact_sheet(
+    path: Path, scenario: Scenario, arrays: dict[str, np.ndarray], render: RenderSettings, num_shown: int
+) -> int:
+    """A, B, C and D of some experiments, of every twin pair the first, with what is done and hidden in them.
 
     Args:
         path: The picture to write.
-        renderer: Of the dataset's scenario.
+        scenario: Of the dataset.
         arrays: The dataset.
+        render: Resolution and backend.
         num_shown: How many experiments, or as many as there are.
 
     Returns:
         How many are shown.
     """
     shown = range(0, min(2 * num_shown, len(arrays["states"])), 2)
-    rows = [
-        [frame for s in (0, 1) for frame in render_sequence(renderer, arrays, row, s, [0, -1]).rgb]
-        for row in tqdm(shown, desc="contact sheet")
-    ]
-    write_picture(path, grid(rows))
+    words, rows = Words(scenario, arrays), list[Row]()
+    for row in tqdm(shown, desc="contact sheet"):
+        frames = CloseUp(scenario, arrays, [row], render).frames(row, [0, -1])
+        rows.append((_about(words, row), [picture for sequence in frames for picture in sequence.rgb]))
+    end = at(scenario.clock.num_frames - 1, scenario.clock.frame_rate_hz)
+    headings = ["A: start, 0.0 s", f"B: end of AB, {end}", "C: changed start, 0.0 s", f"D: end of CD, {end}"]
+    sheet = labelled(headings, rows, cell_px(render.resolution))
+    title = Line(f"{scenario.name}: the first of each of {len(shown)} pairs of twins", bold=True)
+    rule = f"The do-operation changes A to C. No single picture shows {words.hidden}; they are the same in AB and CD."
+    write_picture(path, under([title, Line(rule)], sheet))
     return len(shown)
 
 
-def write_experiment(directory: Path, renderer: Renderer, arrays: dict[str, np.ndarray], experiment: int) -> None:
-    """A strip of AB over CD, the three modalities, a clip, and every frame as a file that predict.py takes.
+def _about(words: Words, experiment: int) -> list[Line]:
+    """Which experiment it is, what makes C of A, and what is hidden."""
+    return [
+        Line(f"experiment {experiment}", bold=True),
+        Line(f"do-operation: {words.do_operation(experiment)}"),
+        Line("hidden:"),
+        *words.confounders(experiment),
+    ]
+
+
+def write_experiment(
+    directory: Path, scenario: Scenario, arrays: dict[str, np.ndarray], render: RenderSettings, experiment: int
+) -> None:
+    """A strip of AB over CD, and a clip.
+
+    Args:
+        directory: Where they go.
+        scenario: Of the dataset.
+        arrays: The dataset.
+        render: Resolution and backend.
+        experiment: Index of the experiment.
+    """
+    words, rate, times = Words(scenario, arrays), scenario.clock.frame_rate_hz, strip_times(scenario)
+    close_up = CloseUp(scenario, arrays, [experiment], render).frames(experiment, slice(None))
+    observed, counterfactual = (frames.rgb for frames in tqdm(close_up, total=2, desc="strip and clip"))
+    changed = words.do_operation(experiment)
+    rows: list[Row] = [
+        ([Line("AB: observed", bold=True), Line("hidden:"), *words.confounders(experiment)], observed[times]),
+        (
+            [Line("CD: counterfactual", bold=True), Line(f"do-operation: {changed}"), Line("hidden: as in AB")],
+            counterfactual[times],
+        ),
+    ]
+    strip = labelled([at(time, rate) for time in times], rows, cell_px(render.resolution))
+    write_picture(directory / "strip.png", under([Line(f"{scenario.name}, experiment {experiment}", bold=True)], strip))
+    clip = side_by_side({"AB: observed": observed, f"CD: {changed}": counterfactual}, frame_rate_hz=rate)
+    write_atomically(directory / "clip.gif", gif(clip, frames_per_second=rate))
+
+
+def write_frames(directory: Path, renderer: Renderer, arrays: dict[str, np.ndarray], experiment: int) -> None:
+    """Every frame as a file that predict.py takes, whole, and the scene without objects.
 
     Args:
         directory: Where they go.
@@ -70,23 +101,8 @@ def write_experiment(directory: Path, renderer: Renderer, arrays: dict[str, np.n
         arrays: The dataset.
         experiment: Index of the experiment.
     """
-    scenario = renderer.scenario
-    observed, counterfactual = (
-        render_sequence(renderer, arrays, experiment, sequence, slice(None))
-        for sequence in tqdm((0, 1), desc="experiment")
-    )
-    times = np.linspace(0, scenario.clock.num_frames - 1, NUM_STRIP_FRAMES).astype(int)
-    write_picture(directory / "strip.png", grid([observed.rgb[times], counterfactual.rgb[times]]))
-    write_picture(directory / "modalities.png", grid([_modalities(observed, scenario)]))
-    clip = side_by_side(dict(zip(TITLES, (observed.rgb, counterfactual.rgb), strict=True)))
-    write_atomically(directory / "clip.gif", gif(clip, frames_per_second=scenario.clock.frame_rate_hz))
-    for name, frames in (("AB", observed.rgb), ("CD", counterfactual.rgb)):
-        for time, frame in enumerate(frames):
+    for sequence, name in enumerate(tqdm(("AB", "CD"), desc="frames as files")):
+        for time, frame in enumerate(render_sequence(renderer, arrays, experiment, sequence, slice(None)).rgb):
             write_picture(directory / name / f"{time:02d}.png", frame)
-
-
-def _modalities(frames: Frames, scenario: Scenario) -> list[np.ndarray]:
-    """RGB, depth and segmentation of a frame after a third of the time."""
-    time = scenario.clock.num_frames // 3
-    depth, segmentation = depth_in_grey(frames.depth[time]), segmentation_in_color(frames.segmentation[time], scenario)
-    return [frames.rgb[time], depth, segmentation]
+    empty = arrays | {"presence": np.zeros_like(arrays["presence"])}
+    write_picture(directory / "background.png", render_sequence(renderer, empty, experiment, 0, [0]).rgb[0])

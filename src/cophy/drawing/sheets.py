@@ -1,42 +1,90 @@
-"""Frames in rows and columns, titled; depth and segmentation as colours."""
+"""Frames in rows and columns, with words beside them; depth and segmentation as colours."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import cv2
+import matplotlib as mpl
 import numpy as np
 from PIL import ImageColor
 
+from cophy.drawing.labels.text import Line, text_block
 from cophy.scenario import Scenario
 
 GAP_PX = 4
-MIN_TITLE_PX = 18
-TITLE_LINES = 14  # one line of text is this share of the picture's width
+MIN_CELL_PX = 224  # smaller pictures are enlarged: a label has to fit above
+LABEL_PX = 330  # width of the text beside a row
 WHITE = 255
+DEPTH_COLORS = (255 * mpl.colormaps["viridis_r"](np.arange(256))[:, :3]).astype(np.uint8)  # near is bright
+
+Row = tuple[Sequence[Line], Iterable[np.ndarray]]  # what stands to the left of pictures, and the pictures
 
 
 def grid(rows: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
-    """Pictures of one size, (H, W, 3) uint8, in rows and columns with white gaps."""
-
-    def join(parts: Sequence[np.ndarray], axis: int) -> np.ndarray:
-        gap = np.full((GAP_PX, parts[0].shape[1], 3) if axis == 0 else (parts[0].shape[0], GAP_PX, 3), WHITE, np.uint8)
-        return np.concatenate([piece for part in parts for piece in (part, gap)][:-1], axis=axis)
-
-    return join([join(row, axis=1) for row in rows], axis=0)
-
-
-def titled(frames: np.ndarray, title: str) -> np.ndarray:
-    """(T, H, W, 3) frames with a line of text above."""
-    size = frames.shape[2]
-    bar = np.full((max(MIN_TITLE_PX, size // TITLE_LINES), size, 3), WHITE, np.uint8)
-    scale = bar.shape[0] / 36
-    cv2.putText(bar, title, (4, int(0.72 * bar.shape[0])), cv2.FONT_HERSHEY_SIMPLEX, scale, (0, 0, 0), 1, cv2.LINE_AA)
-    return np.concatenate([np.broadcast_to(bar, (len(frames), *bar.shape)), frames], axis=1)
+    """Pictures, (H, W, 3) uint8, in rows and columns with white gaps; smaller ones lie at the upper left of their cell."""
+    heights = [max(picture.shape[0] for picture in row) for row in rows]
+    widths = [max(row[n].shape[1] for row in rows if n < len(row)) for n in range(max(map(len, rows)))]
+    size = sum(heights) + GAP_PX * (len(heights) - 1), sum(widths) + GAP_PX * (len(widths) - 1)
+    sheet, top = np.full((*size, 3), WHITE, np.uint8), 0
+    for row, height in zip(rows, heights, strict=True):
+        left = 0
+        for picture, width in zip(row, widths, strict=False):
+            sheet[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
+            left += width + GAP_PX
+        top += height + GAP_PX
+    return sheet
 
 
-def side_by_side(sequences: dict[str, np.ndarray]) -> np.ndarray:
-    """Sequences (T, R, R, 3) next to each other, each under its title."""
-    parts = [titled(frames, title) for title, frames in sequences.items()]
-    return np.stack([grid([row]) for row in zip(*parts, strict=True)])
+def cell_px(resolution: int) -> int:
+    """Edge of a picture on a sheet, of frames of this resolution."""
+    return max(MIN_CELL_PX, resolution // 2)
+
+
+def resized(picture: np.ndarray, size: int) -> np.ndarray:
+    """A square picture, (R, R, 3) uint8, as large as `size`."""
+    how = cv2.INTER_AREA if size < len(picture) else cv2.INTER_NEAREST
+    return picture if size == len(picture) else cv2.resize(picture, (size, size), interpolation=how)
+
+
+def labelled(headings: Sequence[str], rows: Sequence[Row], size: int) -> np.ndarray:
+    """Rows of pictures under headings, each row with its text to the left.
+
+    Args:
+        headings: One for each column of pictures.
+        rows: Text and pictures.
+        size: Edge of the pictures, pixels.
+    """
+    top = [text_block([], LABEL_PX), *(text_block([Line(heading)], size) for heading in headings)]
+    below = [
+        [text_block(lines, LABEL_PX), *(resized(picture, size) for picture in pictures)] for lines, pictures in rows
+    ]
+    return grid([top, *below])
+
+
+def under(lines: Sequence[Line], picture: np.ndarray) -> np.ndarray:
+    """A picture with lines of text above."""
+    return grid([[text_block(lines, picture.shape[1])], [picture]])
+
+
+def side_by_side(sequences: dict[str, np.ndarray], *, frame_rate_hz: float) -> np.ndarray:
+    """Sequences (T, R, R, 3) next to each other, each under its title and the time."""
+    titles, frames = list(sequences), zip(*sequences.values(), strict=True)
+    size = max(MIN_CELL_PX, *(sequence.shape[1] for sequence in sequences.values()))
+    return np.stack(
+        [
+            grid(
+                [
+                    [text_block([Line(title), Line(at(time, frame_rate_hz))], size) for title in titles],
+                    [resized(picture, size) for picture in pictures],
+                ]
+            )
+            for time, pictures in enumerate(frames)
+        ]
+    )
+
+
+def at(frame: int, frame_rate_hz: float) -> str:
+    """The time of a frame, as in "1.2 s"."""
+    return f"{frame / frame_rate_hz:.1f} s"
 
 
 def segmentation_in_color(segmentation: np.ndarray, scenario: Scenario) -> np.ndarray:
@@ -46,9 +94,10 @@ def segmentation_in_color(segmentation: np.ndarray, scenario: Scenario) -> np.nd
     return palette[segmentation]
 
 
-def depth_in_grey(depth: np.ndarray) -> np.ndarray:
-    """(..., R, R) millimetres -> (..., R, R, 3): near is bright, nothing is black."""
+def depth_in_color(depth: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
+    """(R, R) millimetres -> (R, R, 3), white where there is nothing; metres of the first and last colour of DEPTH_COLORS."""
     seen = depth > 0
     near, far = (float(depth[seen].min()), float(depth[seen].max())) if seen.any() else (0.0, 1.0)
-    grey = np.where(seen, 60 + 195 * (far - depth.astype(float)) / max(far - near, 1.0), 0)
-    return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
+    place = (len(DEPTH_COLORS) - 1) * (depth.astype(float) - near) / max(far - near, 1.0)
+    picture = DEPTH_COLORS[np.clip(place, 0, len(DEPTH_COLORS) - 1).astype(int)]
+    return np.where(seen[..., None], picture, np.uint8(WHITE)), (near / 1000, far / 1000)

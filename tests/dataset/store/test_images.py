@@ -14,7 +14,7 @@ import pytest
 from cophy.dataset import generation
 from cophy.dataset.feed.frame_dataset import FrameDataset
 from cophy.dataset.store.images import Images, bounding_boxes
-from cophy.drawing.overview import render_sequence
+from cophy.drawing.close_up import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario.rendering.frames import MODALITIES, NO_OBJECT, Frames
 from cophy.scenario.rendering.renderer import Renderer

@@ -200,6 +200,7 @@ class PredictConfig:
     observed: str = MISSING
     initial: str = MISSING
     truth: str | None = None
+    background: str | None = None
     derenderer: str = MISSING
     predictor: str = MISSING
     directory: str = MISSING

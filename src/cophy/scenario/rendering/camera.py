@@ -1,10 +1,26 @@
 """The fixed camera of a scenario, and where in its picture a point appears."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 NEAR_PLANE_M = 0.1  # a point nearer than this, or behind the camera, is projected as if it lay on it
+
+
+class Window(NamedTuple):
+    """A square part of a square picture: its left and top end and its edge, as shares of the picture's edge."""
+
+    left: float
+    top: float
+    edge: float
+
+    def cut(self, pictures: np.ndarray) -> np.ndarray:
+        """This part of pictures (T, R, R, ...), of pixels that lie in it only by a part too."""
+        size = pictures.shape[1]
+        width = min(size, int(np.ceil(self.edge * size)) + 1)
+        left, top = (min(int(start * size), size - width) for start in (self.left, self.top))
+        return pictures[:, top : top + width, left : left + width]
 
 
 @dataclass
@@ -23,6 +39,18 @@ class Camera:
         x, y, depth = np.moveaxis((np.asarray(points, dtype=np.float64) - self.eye) @ axes.T, -1, 0)
         scale = 1 / (np.tan(np.radians(self.field_of_view_deg) / 2) * np.maximum(depth, NEAR_PLANE_M))
         return np.stack([1 + x * scale, 1 - y * scale], axis=-1) * (resolution / 2)
+
+    def window_around(self, points: np.ndarray, radius_m: float) -> Window:
+        """The smallest part of the picture in which balls of this radius around the points, (N, 3) metres, are in sight.
+
+        What lies outside the picture stays outside.
+        """
+        corners = radius_m * np.array(list(np.ndindex(2, 2, 2))) * 2 - radius_m
+        seen = np.clip(self.project(np.asarray(points)[:, None] + corners, 1), 0, 1).reshape(-1, 2)
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        edge = float((high - low).max())
+        left, top = np.clip((low + high - edge) / 2, 0, 1 - edge).tolist()
+        return Window(left, top, edge)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
