@@ -7,6 +7,7 @@ import numpy as np
 from cophy.atomic_files import write_atomically
 from cophy.drawing.gifs import gif
 from cophy.drawing.labels.text import Line
+from cophy.drawing.labels.words import NOUNS
 from cophy.drawing.overview import strip_times
 from cophy.drawing.picture_files import write_picture
 from cophy.drawing.sheets import Row, at, cell_px, labelled, side_by_side, under
@@ -88,7 +89,9 @@ def write_counterfactual(
     rate, times = scenario.clock.frame_rate_hz, strip_times(scenario)
     clip = side_by_side(sequences, frame_rate_hz=rate)
     write_atomically(directory / "prediction.gif", gif(clip, frames_per_second=rate))
-    rows: list[Row] = [(_label(name, background is not None), frames[times]) for name, frames in sequences.items()]
+    rows: list[Row] = [
+        (_label(name, scenario, background is not None), frames[times]) for name, frames in sequences.items()
+    ]
     strip = labelled([at(time, rate) for time in times], rows, cell_px(observed.shape[1]))
     title = Line(f"{scenario.name}: what would have happened, had the start been C?", bold=True)
     write_picture(directory / "strip.png", under([title], strip))
@@ -107,14 +110,14 @@ def window_of_changes(frames: np.ndarray, background: np.ndarray) -> Window:
     return Window(left, top, edge)
 
 
-def _label(name: str, background_is_known: bool) -> list[Line]:
+def _label(name: str, scenario: Scenario, background_is_known: bool) -> list[Line]:
     """What stands beside a sequence."""
     said = [Line(name, bold=True)]
     if name == PREDICTED:
-        said.append(
-            Line("from the pictures of AB and C alone; drawn from the predicted positions, so nothing is turned")
-        )
-        said += [] if background_is_known else [Line("grey: the background is not known (background=)")]
+        noun = NOUNS[scenario.shape_from_positions]
+        said.append(Line("From the pictures of AB and C alone."))
+        said.append(Line(f"Only positions are predicted: every object is drawn as a {noun}, not turned."))
+        said += [] if background_is_known else [Line("Grey: the background is not known (background=).")]
     return said
 
 

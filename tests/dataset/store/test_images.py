@@ -5,7 +5,9 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -16,11 +18,11 @@ from cophy.dataset.feed.frame_dataset import FrameDataset
 from cophy.dataset.store.images import Images, bounding_boxes
 from cophy.drawing.close_up import render_sequence
 from cophy.errors import CophyError
-from cophy.scenario.rendering.frames import MODALITIES, NO_OBJECT, Frames
+from cophy.scenario.rendering.frames import MODALITIES, NO_OBJECT, Backend, Frames
 from cophy.scenario.rendering.renderer import Renderer
 from tests.conftest import ROOT
 from tests.dataset.copies import SPEC, digests
-from tests.dataset.store.rendered import RENDER, copy_images
+from tests.dataset.store.rendered import RENDER, copy_images, images
 
 
 def test_what_is_stored_is_what_was_drawn(rendered: Images) -> None:
@@ -120,6 +122,45 @@ def test_pictures_of_other_states_are_not_read(rendered: Images, tmp_path: Path)
     frames = FrameDataset([(copied, copied.states.load())], split="train", resolution=16)
     with pytest.raises(CophyError, match=r"shard-00000\.h5 is damaged \(it was made of other files"):
         frames[0]
+
+
+def test_rgb_that_another_set_holds_is_not_rendered_again(rendered: Images, tmp_path: Path) -> None:
+    """And has the bytes that a rendering of its own has."""
+    copied = copy_images(rendered, tmp_path)
+    rgb = copied.states.frames(replace(RENDER, modalities=["rgb"]))
+    rgb.ensure(workers=1)
+    assert not rgb.directory.exists()
+    arrays = copied.states.load()
+    read, pictures = rgb.reader(arrays), rgb.pictures(arrays, ["rgb"])
+    clips = {(row, sequence): clip for row, sequence, clip in rgb.sequences(1)}
+    found = {(row, sequence): pictures(24 + row)["rgb"][sequence] for row, sequence in clips}
+    frame = read(30, 1, 7)
+
+    generation.make(rgb, workers=2)
+    assert rgb.or_more() is rgb
+    with h5py.File(rgb.path(1), "r") as file:
+        assert set(file) == {"rgb", "boxes"}
+        np.testing.assert_array_equal(frame, file["rgb"][6, 1, 7])
+        for (row, sequence), clip in clips.items():
+            np.testing.assert_array_equal(clip, file["rgb"][row, sequence])
+            np.testing.assert_array_equal(found[row, sequence], clip)
+
+
+@pytest.mark.parametrize("changes", [{"resolution": 20}, {"backend": Backend.egl}])
+def test_pictures_of_another_size_or_renderer_are_no_substitute(
+    rendered: Images, tmp_path: Path, changes: dict[str, Any]
+) -> None:
+    copied = copy_images(rendered, tmp_path)
+    other = copied.states.frames(replace(RENDER, modalities=["rgb"], **changes))
+    assert other.or_more() is other
+
+
+def test_a_set_with_fewer_modalities_is_no_substitute(rendered: Images, tmp_path: Path) -> None:
+    few = images(tmp_path).states.frames(replace(RENDER, modalities=["rgb", "depth"]))
+    copied = copy_images(rendered, tmp_path)
+    assert few.or_more().directory == copied.directory
+    copied.directory.joinpath("manifest.json").unlink()
+    assert few.or_more() is few
 
 
 def test_boxes_enclose_what_is_seen_of_each_object() -> None:

@@ -1,9 +1,10 @@
 """The pictures of a dataset: RGB, depth and segmentation of its states, in shards beside them; all lossless."""
 
 import hashlib
+import itertools
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,7 +17,7 @@ from cophy.dataset.cards.picture_card import write_picture_card
 from cophy.dataset.store.experiment_set import Clip, ExperimentSet, Pictures, Reader
 from cophy.dataset.store.hdf5_arrays import Field, Fields, creating
 from cophy.dataset.store.shardset import ShardSet
-from cophy.scenario.rendering.frames import NO_OBJECT, Frames, RenderSettings
+from cophy.scenario.rendering.frames import MODALITIES, NO_OBJECT, Frames, RenderSettings
 from cophy.scenario.rendering.renderer import Renderer
 
 Read = TypeVar("Read")
@@ -60,18 +61,34 @@ class Images(ShardSet):
         return self.directory.name
 
     def ensure(self, *, workers: int) -> None:
-        """Generate and render what is missing."""
+        """Generate and render what is missing; nothing where another set holds the same pictures."""
         generation.ensure(self.states, workers=workers)
-        generation.ensure(self, workers=workers)
+        generation.ensure(self.or_more(), workers=workers)
+
+    def or_more(self) -> "Images":
+        """The set that pictures are read from: itself, or where it is not there, a finished one with more modalities.
+
+        A modality is the same in all sets of one resolution and backend, so it is not rendered twice.
+        """
+        if self.is_finished():
+            return self
+        others = [name for name in MODALITIES if name not in self.render.modalities]
+        for count in range(1, len(others) + 1):
+            for added in itertools.combinations(others, count):
+                wanted = [name for name in MODALITIES if name in (*self.render.modalities, *added)]
+                found = Images(self.states, replace(self.render, modalities=wanted))
+                if found.is_finished():
+                    return found
+        return self
 
     def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
         """Reads frames; keeps the shards open that it has read from."""
-        opened = self._opening()
+        opened = self.or_more()._opening()
         return lambda row, sequence, time: opened(row, lambda stored, place: stored["rgb"][place, sequence, time])
 
     def pictures(self, arrays: dict[str, np.ndarray], modalities: Sequence[str]) -> Pictures:
         """Reads experiments; keeps the shards open that it has read from."""
-        opened = self._opening()
+        opened = self.or_more()._opening()
 
         def read(row: int) -> dict[str, np.ndarray]:
             return opened(row, lambda stored, place: {name: stored[name][place] for name in modalities})
@@ -96,7 +113,8 @@ class Images(ShardSet):
 
     def sequences(self, shard: int) -> Iterator[Clip]:
         """(experiment of the shard, sequence, RGB (T, R, R, 3)), in their order."""
-        with self.explained(shard), self.opened(self.path(shard), shard) as stored:
+        source = self.or_more()
+        with source.explained(shard), source.opened(source.path(shard), shard) as stored:
             for row in range(len(self.spec.experiments_of_shard(shard))):
                 for sequence in (0, 1):
                     yield row, sequence, stored["rgb"][row, sequence]

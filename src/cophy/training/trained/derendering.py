@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from cophy.dataset import generation
 from cophy.dataset.store.estimates import Estimates
 from cophy.dataset.store.experiment_set import ExperimentSet
+from cophy.dataset.store.images import Images
 from cophy.dataset.store.shardset import ShardSet
 from cophy.errors import CophyError
 from cophy.training.trained.trained_derenderer import TrainedDerenderer
@@ -32,7 +33,7 @@ def derender(
         if parts == 1:
             estimates.ensure(workers=workers)
         else:
-            for needed in (experiments, frames):
+            for needed in (experiments, frames.or_more() if isinstance(frames, Images) else frames):
                 if isinstance(needed, ShardSet) and not needed.is_finished():
                     raise CophyError(
                         f"{needed.directory} is not finished, which every part needs: run `{needed.command}`"

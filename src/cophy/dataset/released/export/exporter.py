@@ -86,7 +86,8 @@ def _claim(folder: Path, images: Images, splits: Path, lists: dict[str, np.ndarr
 
 def _pictures(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
     """(row, RGB, segmentation and boxes of AB and CD), a shard after the other."""
-    images.finished_checksums()
+    source = images.or_more()
+    source.finished_checksums()
     with progress_bar(f"export of {images.states.title}", len(rows)) as advance_to:
         done = 0
         for shard in range(images.spec.num_shards):
@@ -94,7 +95,7 @@ def _pictures(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[str, 
             wanted = [row for row in rows if row in within]
             if not wanted:
                 continue
-            with images.explained(shard), images.opened(images.path(shard), shard) as stored:
+            with source.explained(shard), source.opened(source.path(shard), shard) as stored:
                 for row in wanted:
                     yield row, {name: stored[name][row - within.start] for name in (*NEEDED, "boxes")}
                     done += 1
