@@ -2,6 +2,8 @@
 
 schemas/: types and ranges of the keys of every command.
 cli: runs a command; what the user can mend ends it with one line, and a sweep with all runs that failed.
+run_results: the end of a run in the terminal.
+key_help: what `--help` says of the keys of a command.
 composition: a configuration as the command line composes it, typed or not.
 variants: what a run changes beyond its names, in the name of its directory.
 datasets: the datasets that a configuration names.

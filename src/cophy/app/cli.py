@@ -16,6 +16,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from cophy.app import key_help  # noqa: F401  the resolver of help texts
 from cophy.errors import SAFE, CophyError
 from cophy.training.runs.identity import FAILURE
 

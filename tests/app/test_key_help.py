@@ -1,0 +1,77 @@
+"""`--help` fits a screen, and says of the keys what the YAML's comments say."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cophy.app.key_help import meanings
+from tests import commands
+from tests.conftest import ROOT
+
+MAX_LINES, WIDTH = 45, 100
+NAMED = {  # keys and choices that people look for
+    "train": ("scenario=blocktower", "split=", "model=cophynet", "ablation=full", "seed=0", "ckpt=null", "+table=",
+              "trainer.max_epochs=40", "sphere_to_cylinder", "gt_confounders", "hydra/launcher="),
+    "generate": ("scenario=blocktower", "size=small", "num_objects=null", "workers=2", "parts=1"),
+    "audit": ("scenario=blocktower", "replayed_pairs=20", "directory=outputs/audit/blocktower"),
+    "report": ("outputs=outputs", "directory=outputs/report", "source=generated"),
+    "derender": ("derenderer=null", "outputs=outputs", "part=0"),
+    "look": ("experiment=4", "num_shown=12", "directory=outputs/look/blocktower"),
+    "predict": ("observed=???", "initial=???", "truth=null", "derenderer=???", "predictor=???"),
+    "export": ("root=???", "render.resolution=224", "num_objects=null"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", NAMED)
+def test_help_is_one_screen_that_names_the_keys(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    lines = commands.run(command, "--help").rstrip().splitlines()
+    assert len(lines) <= MAX_LINES
+    assert max(map(len, lines)) <= WIDTH
+    for name in NAMED[command]:
+        assert any(f" {name}" in line for line in lines), name
+    assert "--cfg job" in lines[-1]
+    assert not [line for line in lines if "$" in line]
+
+
+@pytest.mark.parametrize("command", NAMED)
+def test_every_key_shown_has_its_meaning_from_the_yaml(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    text, found = commands.run(command, "--help"), meanings(command)
+    listed = " ".join(text.partition("Keys:")[2].split())
+    for key, meaning in found.items():
+        assert re.search(rf"{re.escape(key)}=\S+ {re.escape(meaning)}", listed), key
+    yaml = (ROOT / "conf" / f"{command}.yaml").read_text()
+    assert found
+    assert all(meaning in yaml for meaning in found.values())
+
+
+def test_help_shows_the_values_that_the_command_would_use() -> None:
+    text = commands.run("train", "scenario=balls", "seed=7", "--help")
+    assert " scenario=balls " in text
+    assert " split=4to4 " in text
+    assert " seed=7 " in text
+
+
+def test_a_comment_is_a_meaning_and_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cophy.app.key_help.CONF", tmp_path)
+    (tmp_path / "any.yaml").write_text(
+        'a: "#1" # what it is; ours: why\nb: 2 # ours: only why\nc: 3\nd:\n  e: [1, 2] # a list; paper Sec. 3\n'
+        "# seldom changed\nf: 4 # hidden\n\ng: 5 # shown again\n"
+    )
+    assert meanings("any") == {"a": "what it is", "d.e": "a list", "g": "shown again"}
+
+
+def test_help_does_not_wait_for_torch() -> None:
+    code = (
+        "import runpy, sys\n"
+        "sys.argv = ['src/train.py', '--help']\n"
+        "runpy.run_path('src/train.py', run_name='__main__')\n"
+        "assert not {'torch', 'lightning'} & sys.modules.keys()\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "Keys:" in result.stdout
