@@ -21,7 +21,7 @@ def main(cfg: DictConfig) -> None:
     settings = to_config(cfg, ReportConfig)
     choices = ComposedChoices(settings.source.name, Path(settings.data_dir))
     twins = settings.source.is_generated  # only generated data have them
-    write_report(Path(settings.outputs), Path(settings.directory), choices, has_twins=twins)
+    write_report(Path(settings.outputs), Path(settings.directory), choices, has_twins=twins, show_all=settings.all)
 
 
 def run() -> None:

@@ -2,7 +2,8 @@
 
 pipeline: from outputs/ to tables and figures, which report.py calls.
 choices: what the names of a run stand for, as the report asks for it.
-tables/: runs, the paper's tables, and both together.
+runs/: what was run.
+tables/: the paper's tables, filled by runs.
 colors: of figures.
 figures: predictions, error over time, tables as bars.
 stability_distribution: share of towers that stand, per value of the confounders.

@@ -14,36 +14,46 @@ from cophy.dataset.store.states import States
 from cophy.report import difficulty_page, figures
 from cophy.report.choices import Choices
 from cophy.report.mse_by_difficulty import mse_by_difficulty
+from cophy.report.runs.run_overview import kinds, overviews
+from cophy.report.runs.run_table import read_runs, summary
 from cophy.report.stability_distribution import draw_stability_distribution
-from cophy.report.tables import table_formats
+from cophy.report.tables import table_formats, terminal_tables
 from cophy.report.tables.filled_tables import FilledTable, fill
 from cophy.report.tables.paper_tables import paper_tables
-from cophy.report.tables.run_table import read_runs, summary
 from cophy.report.tables.shares import stored_errors
 from cophy.report.tables.twin_table import CAPTION, twin_tables
 from cophy.scenario import Scenario
 
 log = logging.getLogger(__name__)
 
+OVERVIEW = "Epochs of training, where there was any, × seeds."
 SHOWN = ("run", "seeds", "training (s)", "mse", "final position error")  # of the summary, in the terminal
 
 
-def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins: bool) -> None:
-    """Print the paper's tables as far as runs fill them; write them, and figures.
+def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins: bool, show_all: bool) -> None:
+    """Print what was run and the paper's tables as far as runs fill them; write them whole, and figures.
 
     Args:
         outputs: Where train.py wrote its runs.
         directory: Where tables and figures go.
         choices: What the names of runs stand for.
         has_twins: Whether the data have twins, margins and balance, as generated ones have.
+        show_all: Whether empty tables, captions and a line for each run are printed, too.
     """
     (directory / "figures").mkdir(parents=True, exist_ok=True)
     runs = read_runs(outputs, choices.keys_of)
+    tables = overviews(runs)
+    for number, (title, table) in enumerate(tables.items(), start=1):
+        terminal_tables.show(f"What was run: {title}", table, OVERVIEW if number == len(tables) else "")
     filled = [fill(table, runs, stored_errors) for table in paper_tables()]
-    drawn = _show_tables(filled)
+    drawn = _show_tables(filled, show_all=show_all)
     twins = twin_tables(runs)
-    _show_twins(twins)
-    _write_tables(directory, filled, twins, runs)
+    _show_twins(runs)
+    everything = summary(runs)
+    if show_all and len(everything):
+        shown = [name for name in SHOWN if name in everything]
+        terminal_tables.show("Everything that was run", everything[shown].set_index("run"))
+    _write_tables(directory, filled, twins, everything, runs)
     finished = runs[runs["error"].isna()] if len(runs) else runs
     if len(finished):
         scenarios = {str(name): choices.scenario(str(name)) for name in finished["scenario"].unique()}
@@ -55,39 +65,51 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=110)
         write_atomically(directory / "figures" / f"{name}.png", picture.getvalue())
-    log.info("%d runs; tables (md, tex, csv) and %d figures in %s", len(runs), len(drawn), directory)
+    log.info("%d runs; tables (md, tex, csv), their captions and %d figures in\n%s", len(runs), len(drawn), directory)
 
 
-def _show_tables(filled: list[FilledTable]) -> dict[str, Figure]:
-    """Print what is filled; the same as bars."""
-    drawn = {}
+def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figure]:
+    """Print what is filled, or all; what is filled as bars."""
+    drawn, empty = {}, 0
     for result in filled:
-        if not result.values[["seeds", "failed"]].to_numpy().any():
-            log.info("%s: nothing was run yet", result.table.title)
+        is_filled = bool(result.values[["seeds", "failed"]].to_numpy().any())
+        empty += not is_filled
+        cells = result.cells(bold=terminal_tables.BOLD)
+        if show_all:
+            terminal_tables.show(result.table.title, cells, result.caption)
+        elif is_filled:
+            better = "Lower" if result.table.lower_is_better else "Higher"
+            caption = f"Ours, the paper's below it. {better} is better."
+            terminal_tables.show(result.table.title, terminal_tables.filled_only(cells), caption)
+        if not is_filled:
             continue
-        table_formats.show(result.table.title, table_formats.for_terminal(result), result.caption)
         if (shares := result.shares()) is not None:
-            table_formats.show(table_formats.SHARE, shares.reset_index(names=""), "")
+            shown = shares if show_all else terminal_tables.filled_only(shares)
+            terminal_tables.show(table_formats.SHARE, shown)
         drawn[f"table-{result.table.id}"] = figures.draw_bars(result)
+    if empty and not show_all:
+        log.info(
+            terminal_tables.notice(f"{empty} of the paper's tables have nothing of ours yet: all=true shows them.")
+        )
     return drawn
 
 
 def _write_tables(
-    directory: Path, filled: list[FilledTable], twins: Mapping[str, pd.DataFrame], runs: pd.DataFrame
+    directory: Path,
+    filled: list[FilledTable],
+    twins: Mapping[str, pd.DataFrame],
+    everything: pd.DataFrame,
+    runs: pd.DataFrame,
 ) -> None:
-    """Tables as Markdown, LaTeX and CSV, and a summary of everything that was run, which is printed too.
+    """Tables as Markdown, LaTeX and CSV, and a summary of everything that was run.
 
     Args:
         directory: Where they go.
         filled: The paper's tables.
         twins: Title to table, see `twin_tables`.
+        everything: That summary.
         runs: See `read_runs`.
     """
-    everything = summary(runs)
-    if len(everything):
-        caption = "Mean over seeds, ± standard deviation where there are several. All metrics: tables.md, runs.csv."
-        shown = [name for name in SHOWN if name in everything]
-        table_formats.show("Everything that was run", everything[shown], caption)
     written = {
         "tables.md": "\n".join(map(table_formats.markdown, filled))
         + _twin_sections(twins)
@@ -100,10 +122,16 @@ def _write_tables(
         write_atomically(directory / name, text.encode())
 
 
-def _show_twins(twins: Mapping[str, pd.DataFrame]) -> None:
-    """Print what predictions tell of twins; one caption is for all tables."""
-    for number, (title, table) in enumerate(twins.items(), start=1):
-        table_formats.show(title, table.reset_index(names=""), CAPTION if number == len(twins) else "")
+def _show_twins(runs: pd.DataFrame) -> None:
+    """Print what predictions tell of twins, for each kind of runs apart."""
+    shown = [(f"{title}: {kind}", table) for kind, found in kinds(runs) for title, table in twin_tables(found).items()]
+    for title, table in shown:
+        short = table.columns.str.replace(r"^\S+ (\S+), .*?, (\d+ epochs).*", r"\1, \2", regex=True)
+        alone = short.str.replace(r", .*", "", regex=True)  # the epochs of each are told above
+        splits = table.set_axis(alone if alone.is_unique else short, axis=1)
+        terminal_tables.show(title, splits)
+    if shown:
+        log.info(terminal_tables.notice(CAPTION))
 
 
 def _twin_sections(twins: Mapping[str, pd.DataFrame]) -> str:
@@ -155,5 +183,7 @@ def _load(states: States) -> dict[str, np.ndarray] | None:
     """The arrays of a dataset; where it is not there, the log says so."""
     if states.is_finished():
         return states.load()
-    log.info("%s is not there: the report does without what only the dataset tells", states.directory)
+    log.info(
+        terminal_tables.notice(f"{states.directory} is not there: the report does without what only the dataset tells.")
+    )
     return None

@@ -5,7 +5,7 @@ import pytest
 
 from cophy.report.tables.filled_tables import fill
 from cophy.report.tables.paper_tables import paper_tables
-from cophy.report.tables.table_formats import for_terminal, latex, markdown
+from cophy.report.tables.table_formats import latex, markdown
 from tests.report.lines import measured
 
 TABLES = {table.id: table for table in paper_tables()}
@@ -22,7 +22,7 @@ def test_every_format_shows_the_number(table: str) -> None:
     runs = pd.DataFrame([measured(metric, 0.123, **{**choice, "seed": 0})])
     filled = fill(TABLES[table], runs)
     shown = f"{0.123 * TABLES[table].scale:.{TABLES[table].digits}f}"
-    for text in (markdown(filled), latex(filled), for_terminal(filled).to_string()):
+    for text in (markdown(filled), latex(filled)):
         assert shown in text
         assert "BOLD" not in text
     assert not set("→†±—").intersection(latex(filled))

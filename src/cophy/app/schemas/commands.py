@@ -208,12 +208,13 @@ class PredictConfig:
 
 @dataclass
 class ReportConfig:
-    """report.py. source: of the data that the runs are on. outputs: where train.py wrote its runs."""
+    """report.py. source: of the data that the runs are on. outputs: where train.py wrote its runs. all: print all."""
 
     source: Source = MISSING
     outputs: str = MISSING
     data_dir: str = MISSING
     directory: str = MISSING
+    all: bool = False
 
 
 def _check_part(part: int, parts: int) -> None:

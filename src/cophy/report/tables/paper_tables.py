@@ -1,7 +1,9 @@
 """The tables of the paper that runs can fill, as paper_tables.yaml describes them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
+from typing import Any
 
 import yaml
 
@@ -55,6 +57,17 @@ def paper_tables() -> list[PaperTable]:
     content = yaml.safe_load((files("cophy.report.tables") / "paper_tables.yaml").read_text())
     tables = [PaperTable(**table) for table in content["tables"]]
     return tables + [_derendered(table) for table in tables if table.also_derendered]
+
+
+def published_mse(names: Mapping[str, Any]) -> float | None:
+    """The MSE that the paper prints for the run of these names; None where it prints none."""
+    for table in paper_tables():
+        for in_row, printed in zip(table.rows.values(), table.paper, strict=True):
+            for in_column, number in zip(table.columns.values(), printed, strict=True):
+                wanted = {"positions": "ground_truth", **table.select, **in_row, **in_column}
+                if wanted.pop("metric") == "mse" and number is not None and wanted.items() <= names.items():
+                    return number
+    return None
 
 
 def _derendered(table: PaperTable) -> PaperTable:

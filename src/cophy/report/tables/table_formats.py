@@ -1,9 +1,4 @@
-"""Filled tables as Markdown, LaTeX and on the terminal."""
-
-import pandas as pd
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+"""Filled tables as Markdown and LaTeX."""
 
 from cophy.report.tables.filled_tables import FilledTable
 
@@ -26,29 +21,6 @@ def latex(filled: FilledTable) -> str:
     cells = cells.rename(index=_to_latex, columns=_to_latex)
     caption = _to_latex(f"{filled.table.title}. {filled.caption}")
     return str(cells.to_latex(caption=caption, label=f"tab:{filled.table.id}", escape=False))
-
-
-def show(title: str, cells: pd.DataFrame, caption: str) -> None:
-    """Print a table in the terminal; the paper's number stands below ours.
-
-    Args:
-        title: Stands above it.
-        cells: Texts, which may carry rich's markup.
-        caption: Stands below it.
-    """
-    table = Table(title=title, caption=caption, title_justify="left", caption_justify="left")
-    for column in cells.columns:
-        first = column == cells.columns[0]
-        table.add_column(str(column), justify="left" if first else "right", overflow="fold")
-    for row in cells.itertuples(index=False):
-        table.add_row(*(str(cell).replace(" / ", "\n") for cell in row))
-    Console().print(table)
-
-
-def for_terminal(filled: FilledTable) -> pd.DataFrame:
-    """The cells with rich's markup, row labels as the first column."""
-    cells = filled.cells(bold=("BOLD(", ")BOLD")).map(escape)
-    return cells.replace({r"BOLD\(": "[bold]", r"\)BOLD": "[/bold]"}, regex=True).reset_index(names="")
 
 
 def _to_latex(text: str) -> str:

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 import torch
 
-from cophy.report.tables.run_table import read_runs, summary
-from cophy.report.tables.stored_run import MAX_BYTES
+from cophy.report.runs.run_table import read_runs, summary
+from cophy.report.runs.stored_run import MAX_BYTES
 from cophy.training.runs.results import write_predictions
 from cophy.types import Prediction, Targets
 from tests.report.lines import measured, run

@@ -11,7 +11,8 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from cophy.errors import CophyError
-from cophy.report.tables.stored_run import NAMES, read_configuration, read_line
+from cophy.report.runs.stored_run import NAMES, read_configuration, read_line
+from cophy.report.tables.terminal_tables import notice
 from cophy.training.runs.identity import FAILURE, METRICS, differences, plain_value
 
 log = logging.getLogger(__name__)
@@ -34,7 +35,7 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
         run has its `error` instead of results; `error` is None for the others.
     """
     places = [f"*/*/*/*/*/seed*/{name}" for name in (METRICS, FAILURE)]
-    lines = []
+    lines, aside = [], dict[str, list[str]]()
     for path in sorted(found for place in places for found in outputs.glob(place)):
         try:
             line = read_line(path)
@@ -47,9 +48,13 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
             log.warning("%s is skipped: %s: %s", path, type(error).__name__, " ".join(str(error).split()))
         else:
             if changes:
-                log.warning("%s fills no table, its configuration is its own: %s", path, ", ".join(changes))
+                aside.setdefault(", ".join(changes), []).append(" ".join(str(line[name]) for name in NAMES[:3]))
             else:
                 lines.append(line | {"directory": path.parent})
+    for reason, names in aside.items():
+        one = "1 run fills no table, as its configuration is its own"
+        said = one if len(names) == 1 else f"{len(names)} runs fill no table, as their configuration is their own"
+        log.warning(notice(f"{said} ({reason}): {'; '.join(names)}."))
     return pd.DataFrame(lines)
 
 

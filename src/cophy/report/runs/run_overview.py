@@ -1,0 +1,49 @@
+"""What was run, before any number: which rows on which splits, how long, and with how many seeds."""
+
+from collections.abc import Iterator
+
+import pandas as pd
+
+from cophy.report.figures import in_order, row_name
+
+MISSING = "—"
+SEEN = {
+    "ground_truth": "true positions",
+    "derendered": "estimated positions",
+    "train_ground_truth_test_derendered": "estimated positions in testing",
+}
+
+
+def overviews(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Title to a table of rows × splits. A cell holds the epochs (where anything was trained) and the number of seeds.
+
+    Args:
+        runs: See `read_runs`.
+    """
+    return {title: _table(found) for title, found in kinds(runs)}
+
+
+def kinds(runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Runs of one scenario, size and kind of positions together, with a title for them."""
+    if len(runs):
+        for (scenario, size, positions), found in runs.groupby(["scenario", "size", "positions"]):
+            yield f"{scenario}, size {size}, {SEEN[str(positions)]}", found
+
+
+def _table(runs: pd.DataFrame) -> pd.DataFrame:
+    row = [row_name(model, ablation) for model, ablation in zip(runs["model"], runs["ablation"], strict=True)]
+    texts = {keys: _text(found) for keys, found in runs.assign(row=row).groupby(["row", "split"])}
+    wide = pd.Series(texts).unstack().fillna(MISSING)
+    wide.columns.name = None
+    return wide.loc[in_order(wide.index)]
+
+
+def _text(runs: pd.DataFrame) -> str:
+    finished = runs[runs["error"].isna()]
+    failed = f"{len(runs) - len(finished)} failed"
+    if finished.empty:
+        return failed
+    lengths = sorted(finished.loc[finished["training_seconds"] > 0, "epochs"].astype(int).unique())
+    epochs = ", ".join(map(str, lengths))
+    text = f"{epochs} × {len(finished)}" if epochs else f"× {len(finished)}"
+    return text if len(finished) == len(runs) else f"{text}, {failed}"
