@@ -10,6 +10,7 @@ from cophy.app.composition import CONF, to_config
 from cophy.app.datasets import generated_by
 from cophy.app.schemas.commands import ExportConfig
 from cophy.app.schemas.registration import register
+from cophy.dataset import generation
 
 register()
 
@@ -20,9 +21,11 @@ def main(cfg: DictConfig) -> None:
 
     settings = to_config(cfg, ExportConfig)
     for states in generated_by(settings):
-        images = states.frames(settings.render)
-        images.ensure(workers=settings.workers)
-        export(images, Path(settings.root))
+        generation.ensure(states, workers=settings.workers)
+        images = states.frames(settings.render) if settings.clips else None
+        if images is not None:
+            generation.ensure(images, workers=settings.workers)
+        export(states, images, Path(settings.root))
 
 
 def run() -> None:

@@ -102,9 +102,10 @@ class LookConfig(RenderDataConfig):
 
 @dataclass
 class ExportConfig(RenderDataConfig):
-    """export.py. format: of a released dataset. root: the folder to write to."""
+    """export.py. format: of a released dataset. clips: whether pictures are exported. root: the folder to write to."""
 
     format: str = MISSING
+    clips: bool = MISSING
     root: str = MISSING
 
     def __post_init__(self) -> None:

@@ -80,7 +80,7 @@ def imported(name: str, root: Path, split: str | None = None) -> dict[str, np.nd
 def test_an_export_reads_back_as_what_it_was(name: str, drawn: Any, tmp_path: Path) -> None:
     pictures = drawn(name)
     root = tmp_path / "root"
-    export(pictures, root)
+    export(pictures.states, pictures, root)
     was, back = pictures.states.load(), imported(name, root)
     frames = back["states"].shape[2]
     assert frames == (15 if name == "collision" else 30)
@@ -103,13 +103,23 @@ def test_an_export_reads_back_as_what_it_was(name: str, drawn: Any, tmp_path: Pa
 def test_lists_of_what_training_leaves_out_read_back(name: str, split: str, drawn: Any, tmp_path: Path) -> None:
     pictures = drawn(name)
     root = tmp_path / "root"
-    export(pictures, root)
+    export(pictures.states, pictures, root)
     was, back = pictures.states.load(), imported(name, root, split)
     chosen = settings("train", f"scenario={name}", f"split={split}").split
     test = was["split"] == 2
     expected = np.where(test, chosen.test.select(was), chosen.train.select(was))
     np.testing.assert_array_equal(back["experiment"], np.flatnonzero(expected))
     np.testing.assert_array_equal(back["split"], was["split"][expected])
+
+
+def test_states_alone_read_back_without_clips(tiny_data: Path, tmp_path: Path) -> None:
+    states = States(tiny_spec("collision"), tiny_data)
+    folder = export(states, None, tmp_path / "root")
+    assert {path.name for path in (folder / "0" / "ab").iterdir()} == {"states.npy", "colors.txt"}
+    was, back = states.load(), imported("collision", tmp_path / "root")
+    np.testing.assert_array_equal(back["states"], was["states"][:, :, ::4][:, :, :15])
+    np.testing.assert_array_equal(back["mass"], was["mass"])
+    assert not back["clip"].any()
 
 
 FILES = {
@@ -131,7 +141,7 @@ LISTS = {
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_every_file_is_as_the_format_says(name: str, drawn: Any, tmp_path: Path) -> None:
     pictures = drawn(name)
-    folder = export(pictures, tmp_path / "root")
+    folder = export(pictures.states, pictures, tmp_path / "root")
     task = {"blocktower": "blocktowerCF/3", "balls": "ballsCF/4", "collision": "collisionCF"}[name]
     assert folder == tmp_path / "root" / task
     assert {path.name for path in (tmp_path / "root" / "splits").iterdir()} == LISTS[name]
@@ -179,14 +189,21 @@ def test_every_file_is_as_the_format_says(name: str, drawn: Any, tmp_path: Path)
 
 def test_an_export_goes_on_where_it_was_stopped(drawn: Any, tmp_path: Path) -> None:
     pictures = drawn("collision")
-    folder = export(pictures, tmp_path / "root")
+    folder = export(pictures.states, pictures, tmp_path / "root")
     kept = (folder / "4" / "confounders.npy").stat().st_mtime_ns
     (folder / "5" / "explanations.txt").unlink()
     (folder / "5").rename(folder / ".5.tmp")  # as a kill leaves it
-    export(pictures, tmp_path / "root")
+    export(pictures.states, pictures, tmp_path / "root")
     assert (folder / "5" / "explanations.txt").exists()
     assert not list(folder.glob(".*.tmp"))
     assert (folder / "4" / "confounders.npy").stat().st_mtime_ns == kept
+
+
+def test_states_alone_do_not_fill_up_an_export_with_clips(drawn: Any, tmp_path: Path) -> None:
+    pictures = drawn("collision")
+    export(pictures.states, pictures, tmp_path / "root")
+    with pytest.raises(CophyError, match=r"holds other data than .* without pictures"):
+        export(pictures.states, None, tmp_path / "root")
 
 
 def test_an_export_overwrites_nothing_that_is_not_its_own(drawn: Any, tmp_path: Path) -> None:
@@ -194,11 +211,11 @@ def test_an_export_overwrites_nothing_that_is_not_its_own(drawn: Any, tmp_path: 
     foreign = tmp_path / "foreign" / "collisionCF" / "0"
     foreign.mkdir(parents=True)
     with pytest.raises(CophyError, match="collisionCF holds other data"):
-        export(pictures, tmp_path / "foreign")
+        export(pictures.states, pictures, tmp_path / "foreign")
     assert [path.name for path in (tmp_path / "foreign").rglob("*")] == ["collisionCF", "0"]
     lists = tmp_path / "lists" / "splits"
     lists.mkdir(parents=True)
     (lists / "collisionCF_val_normal.txt").write_text("17\n")
     with pytest.raises(CophyError, match=r"collisionCF_val_normal.txt is a list of other data"):
-        export(pictures, tmp_path / "lists")
+        export(pictures.states, pictures, tmp_path / "lists")
     assert not (tmp_path / "lists" / "collisionCF").exists()

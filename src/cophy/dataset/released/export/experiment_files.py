@@ -20,12 +20,14 @@ MIN_UPRIGHT = 0.7  # z component of the axis of a cylinder that stands; it is 0 
 
 @dataclass(frozen=True)
 class Exported:
-    """One experiment. arrays: of its dataset; row: its place there. pictures: rgb, segmentation and boxes of AB and CD."""
+    """One experiment. arrays: of its dataset; row: its place there. pictures: rgb, segmentation and boxes of AB and CD,
+    or None for states alone.
+    """
 
     scenario: Scenario
     arrays: dict[str, np.ndarray]
     row: int
-    pictures: dict[str, np.ndarray]
+    pictures: dict[str, np.ndarray] | None
 
     @property
     def task(self) -> CoPhyTask:
@@ -53,12 +55,14 @@ def _write_sequence(directory: Path, experiment: Exported, sequence: int) -> Non
     length = min(clock.num_frames, experiment.task.max_frames or clock.num_frames)
     states = experiment.arrays["states"][experiment.row, sequence, :: clock.states_per_frame][:length]
     np.save(directory / "states.npy", states.astype(np.float64))
+    (directory / "colors.txt").write_text(_colors(experiment, sequence))
+    if pictures is None:
+        return
     boxes = pictures["boxes"][sequence, :length].astype(np.float64)
     np.save(directory / "bboxes.npy", np.where(boxes < 0, 0.0, boxes * BOX_PX / pictures["rgb"].shape[-2]))
     segmentation = _palette(experiment.scenario)[pictures["segmentation"][sequence, :length]]
     _write_clip(directory / "rgb.mp4", pictures["rgb"][sequence, :length], clock.frame_rate_hz)
     _write_clip(directory / "segm.mp4", segmentation, clock.frame_rate_hz)
-    (directory / "colors.txt").write_text(_colors(experiment, sequence))
 
 
 def _palette(scenario: Scenario) -> np.ndarray:

@@ -16,6 +16,7 @@ from cophy.dataset.released.export.experiment_files import Exported, write_exper
 from cophy.dataset.released.export.exported_lists import as_text, exported_lists
 from cophy.dataset.released.formats.cophy_tasks import TASKS
 from cophy.dataset.store.images import Images
+from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
@@ -26,8 +27,13 @@ MARKER = "export.json"  # whose experiments a folder holds
 NEEDED = ("rgb", "segmentation")
 
 
-def export(images: Images, root: Path) -> Path:
-    """Write a dataset whose pictures are there; goes on where it was stopped, and overwrites nothing else.
+def export(states: States, images: Images | None, root: Path) -> Path:
+    """Write a dataset; goes on where it was stopped, and overwrites nothing else.
+
+    Args:
+        states: Generated.
+        images: Its pictures, rendered; None for states without clips and boxes.
+        root: The folder that holds the exports of all tasks.
 
     Returns:
         The folder of its experiments, below `root`.
@@ -35,18 +41,18 @@ def export(images: Images, root: Path) -> Path:
     Raises:
         CophyError: pictures are missing, or `root` holds other data.
     """
-    if not set(images.render.modalities) >= set(NEEDED):
+    if images is not None and not set(images.render.modalities) >= set(NEEDED):
         raise CophyError("the format holds RGB and segmentation: export with 'render.modalities=[rgb,segmentation]'")
-    arrays, spec = images.states.load(), images.spec
+    arrays, spec = states.load(), states.spec
     task = TASKS[spec.scenario.name]
     folder = task.directory(root, spec.num_objects)
     lists = exported_lists(arrays, task, spec.num_objects)
-    _claim(folder, images, root / "splits", lists)
+    _claim(folder, states, images, root / "splits", lists)
     with FileLock(folder / ".lock"):
         for leftover in folder.glob(".*.tmp"):
             shutil.rmtree(leftover)
         missing = [row for row in range(len(arrays["split"])) if not (folder / str(row)).exists()]
-        for row, pictures in _pictures(images, missing):
+        for row, pictures in ((row, None) for row in missing) if images is None else _pictures(images, missing):
             _write_whole(folder / str(row), Exported(spec.scenario, arrays, row, pictures))
     (root / "splits").mkdir(exist_ok=True)
     for name, rows in lists.items():
@@ -67,16 +73,18 @@ def read_back(scenario: Scenario, root: Path) -> str:
     return f"python src/train.py source=cophy source.root={root} scenario={scenario.name} {' '.join(lists)} {view}"
 
 
-def _claim(folder: Path, images: Images, splits: Path, lists: dict[str, np.ndarray]) -> None:
+def _claim(folder: Path, states: States, images: Images | None, splits: Path, lists: dict[str, np.ndarray]) -> None:
     """Make the folder ours, or refuse one that holds anything else."""
-    content = {"format": FORMAT_VERSION, "dataset": images.states.id, "pictures": images.name}
+    pictures = None if images is None else images.name
+    content = {"format": FORMAT_VERSION, "dataset": states.id, "pictures": pictures}
     marker = folder / MARKER
     try:
         ours = json.loads(marker.read_bytes()) == content
     except (OSError, ValueError):
         ours = not folder.exists() or not os.listdir(folder)
     if not ours:
-        raise CophyError(f"{folder} holds other data than {images.states.id} with {images.name}: choose another root=")
+        wanted = f"{states.id} {'without pictures' if pictures is None else f'with {pictures}'}"
+        raise CophyError(f"{folder} holds other data than {wanted}: choose another root=")
     for name, rows in lists.items():
         if (splits / name).exists() and (splits / name).read_bytes() != as_text(rows):
             raise CophyError(f"{splits / name} is a list of other data: choose another root=")
