@@ -21,8 +21,10 @@ log = logging.getLogger(__name__)
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
 def main(cfg: DictConfig) -> float:
     from cophy.app.assembly import run_configured  # Lightning takes seconds to import; --help does not need it
+    from cophy.app.run_results import show_results
     from cophy.training.runs.claim import claimed
-    from cophy.training.runs.identity import Run
+    from cophy.training.runs.devices import is_first
+    from cophy.training.runs.identity import METRICS, Run
 
     chosen = HydraConfig.get()
     choices = chosen.runtime.choices
@@ -35,15 +37,19 @@ def main(cfg: DictConfig) -> float:
         directory=Path(chosen.runtime.output_dir),
     )
     plain = to_plain(cfg)
-    if choices["hydra/launcher"] != "basic":  # runs go side by side: their bars would overwrite each other
+    side_by_side = choices["hydra/launcher"] != "basic"
+    if side_by_side:  # their bars would overwrite each other
         plain["trainer"] |= {"enable_progress_bar": False, "enable_model_summary": False}
     try:
         with claimed(run):
-            return run_configured(to_config(cfg, TrainConfig), plain, run)
+            optimized = run_configured(to_config(cfg, TrainConfig), plain, run)
     except Exception as error:
         if chosen.mode is RunMode.MULTIRUN:  # the other runs go on; Hydra names only the first that failed
             log.error("%s failed: %s", run.place, error, exc_info=not cli.is_mendable(error))
         raise
+    if is_first() and not side_by_side and (run.directory / METRICS).exists():  # a trial leaves none
+        show_results(run, cfg.scenario.task.metric_dims)
+    return optimized
 
 
 def run() -> None:

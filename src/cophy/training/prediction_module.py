@@ -70,8 +70,7 @@ class PredictionModule(L.LightningModule):
         """Predict D; only `batch.inputs` reaches the network."""
         prediction = self.network(batch.inputs)
         check_shapes(prediction, batch.targets, self.network)
-        missed = (batch.targets.presence & ~batch.inputs.presence)[:, None, :, None]
-        return replace(prediction, position=torch.where(missed, self.missed_position, prediction.position))
+        return place_missed(prediction, batch, self.missed_position)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         draw = self.seed, self.current_epoch, batch_idx
@@ -115,8 +114,9 @@ class PredictionModule(L.LightningModule):
             logits = [head(prediction.confounder_estimate) for head in self.confounder_heads]
             terms["confounder_loss"] = settings.confounder_weight, confounder_loss(logits, targets)
         loss = torch.stack([weight * value for weight, value in terms.values()]).sum()
-        values = {f"{split}/{name}": value for name, (_, value) in terms.items()} | {f"{split}/loss": loss}
-        self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
+        values = {f"{split}/{name}": value for name, (_, value) in terms.items()}
+        for named, in_bar in ((values, False), ({f"{split}/loss": loss}, split == "train")):
+            self.log_dict(named, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True, prog_bar=in_bar)
         return loss
 
     def _measure(self, split: str, prediction: Prediction, batch: Batch) -> None:
@@ -130,6 +130,18 @@ class PredictionModule(L.LightningModule):
                 metrics.update(prediction, batch.targets)
             for name, metric in metrics.items(keep_base=False):
                 self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
+
+
+def place_missed(prediction: Prediction, batch: Batch, position: Float[Tensor, "3"]) -> Prediction:
+    """The prediction, with the objects that the de-renderer missed in C at one position.
+
+    Args:
+        prediction: Of D.
+        batch: What it was made for.
+        position: Metres.
+    """
+    missed = (batch.targets.presence & ~batch.inputs.presence)[:, None, :, None]
+    return replace(prediction, position=torch.where(missed, position, prediction.position))
 
 
 def _kept(tensor: Tensor) -> Tensor:

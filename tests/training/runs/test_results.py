@@ -26,10 +26,12 @@ def run(tmp_path: Path) -> Run:
 
 
 def test_metrics_are_means_with_their_intervals(run: Run) -> None:
-    measured = Measured({"mse": np.array([1.0, 3.0, 2.0, 2.0])}, np.array([0, 0, 1, 1]))
+    copies = {"copy_c": 5.0}
+    measured = Measured({"mse": np.array([1.0, 3.0, 2.0, 2.0])}, np.array([0, 0, 1, 1]), copies)
     assert write_metrics(run, measured, {"num_test": 4}) == {"mse": 2.0}
     content = json.loads((run.directory / "metrics.json").read_text())
-    assert content == {**run.names(), "num_test": 4, "metrics": {"mse": 2.0}, "intervals": {"mse": [2.0, 2.0]}}
+    found = {"metrics": {"mse": 2.0}, "intervals": {"mse": [2.0, 2.0]}, "copies": copies}
+    assert content == {**run.names(), "num_test": 4, **found}
 
 
 def test_a_new_start_forgets_what_was_there(run: Run) -> None:

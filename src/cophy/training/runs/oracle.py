@@ -10,6 +10,7 @@ import torch
 from cophy.dataset import generation
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.store.forecasts import OracleSettings
+from cophy.training.measures.copies import mse_of_copies
 from cophy.training.measures.evaluation import evaluate
 from cophy.training.runs.devices import is_first
 from cophy.training.runs.identity import Run
@@ -44,7 +45,8 @@ def carry_out_oracle(
     prediction, targets = forecast(data, oracle, settings), data.test.batch.targets
     if not is_first():
         return
-    measured = Measured(evaluate(prediction, targets, data.scenario), targets.pair.numpy())
+    copies = mse_of_copies(data.test.batch, data.scenario, data.mean_position)
+    measured = Measured(evaluate(prediction, targets, data.scenario), targets.pair.numpy(), copies)
     write_predictions(run.directory, prediction, targets)
     about = {
         "dataset_ids": data.dataset_ids,

@@ -5,7 +5,7 @@ import json
 import logging
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -36,10 +36,12 @@ class Measured:
     Attributes:
         values: Each measure, one value per test item.
         pairs: (item,) the twin pair that it is of.
+        copies: MSE of each copy on the same test split; none where no D is predicted.
     """
 
     values: Mapping[str, np.ndarray | Ratio]
     pairs: np.ndarray
+    copies: Mapping[str, float] = field(default_factory=dict)
 
 
 def forget_results(run: Run) -> None:
@@ -61,7 +63,8 @@ def write_metrics(run: Run, measured: Measured, about: dict[str, Any]) -> dict[s
     """
     metrics = {name: mean(value) for name, value in measured.values.items()}
     intervals = {name: interval(value, measured.pairs) for name, value in measured.values.items()}
-    _write_json(run.directory / METRICS, {**run.names(), **about, "metrics": metrics, "intervals": intervals})
+    found = {"metrics": metrics, "intervals": intervals, "copies": dict(measured.copies)}
+    _write_json(run.directory / METRICS, {**run.names(), **about, **found})
     said = "  ".join(f"{name} {metrics[name]:.4f}" for name in SAID if name in metrics)
     log.info("%s: %s", run.directory / METRICS, said)
     return metrics

@@ -11,6 +11,7 @@ from cophy.dataset.feed.frame_datamodule import FrameDataModule
 from cophy.models.derenderer import Derenderer
 from cophy.training.callbacks import NUM_SHOWN, DerenderingFigures, PredictionFigures
 from cophy.training.derendering_module import DerenderingModule
+from cophy.training.measures.copies import mse_of_copies
 from cophy.training.measures.evaluation import evaluate
 from cophy.training.measures.probe import Probed, estimate, probe
 from cophy.training.prediction_module import PredictionModule
@@ -90,7 +91,8 @@ def prediction_stage(
             assert fitted is not None
             values |= probe(Probed(fitted, train.targets), Probed(prediction.confounder_estimate, batch.targets))
         write_predictions(run.directory, prediction, batch.targets)
-        return Measured(values, batch.targets.pair.numpy())
+        copies = mse_of_copies(data.test.batch, scenario, data.mean_position)
+        return Measured(values, batch.targets.pair.numpy(), copies)
 
     figures = PredictionFigures(take(data.val.batch, slice(NUM_SHOWN)), scenario, figures_every_n_epochs)
     derenderer = data.derenderer.name if data.derenderer else None

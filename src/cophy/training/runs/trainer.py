@@ -1,5 +1,6 @@
 """Lightning's Trainer as every run uses it: TensorBoard, the best and the last checkpoint, figures."""
 
+import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +9,7 @@ from typing import Any
 import lightning as L
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
-from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint
+from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint, ModelSummary
 from lightning.pytorch.loggers import Logger
 
 from cophy.errors import CophyError
@@ -17,11 +18,22 @@ from cophy.training.runs.devices import plugins
 from cophy.training.runs.identity import Run
 from cophy.training.trained.checkpoints import Origin, WholeCheckpoints
 
+log = logging.getLogger(__name__)
+
 # the whole data set lies in memory and is sliced: Lightning's advice to add workers does not apply
 warnings.filterwarnings("ignore", ".*does not have many workers.*")
 warnings.filterwarnings("ignore", "The `srun` command is available.*")  # runs on a cluster are started by submitit
 warnings.filterwarnings("ignore", "Checkpoint directory .* exists and is not empty")  # it is the run's own
 warnings.filterwarnings("ignore", ".*LeafSpec.*")  # of Lightning 2.6 with torch 2.13, nothing a user can do
+
+
+class Size(ModelSummary):
+    """Say how large the network is, in one line; Lightning's table counts "0 FLOPs" besides."""
+
+    def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        if trainer.is_global_zero:
+            count = sum(each.numel() for each in pl_module.parameters() if each.requires_grad)
+            log.info("%s: %s parameters are trained", type(pl_module.network).__name__, f"{count:,}")
 
 
 def loggers_of(run: Run, chosen: dict[str, Any]) -> list[Logger]:
@@ -73,6 +85,7 @@ def make_trainer(
         *watching,
         *(_made(f"callbacks={name}", each) for name, each in origin.training["callbacks"].items()),
         ResumeHint(run.checkpoints / "last.ckpt"),
+        *([Size()] if arguments["enable_model_summary"] else []),
     ]
     try:
         return L.Trainer(

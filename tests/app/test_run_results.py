@@ -1,0 +1,59 @@
+"""What a run says at its end is what its metrics.json holds."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cophy.report.tables.paper_tables import published_mse
+from tests.commands import train
+
+ROW = ("scenario=collision", "logger=[]")
+
+
+def line(printed: str, title: str) -> str:
+    (found,) = [text for text in printed.splitlines() if text.strip().startswith(title)]
+    return found.strip().removeprefix(title).strip()
+
+
+def metrics_of(outputs: Path, model: str) -> dict[str, dict[str, float]]:
+    (path,) = outputs.glob(f"collision/all/{model}/full/ground_truth/*/metrics.json")
+    return dict(json.loads(path.read_bytes()))
+
+
+def test_the_table_holds_the_numbers_of_metrics_json(tiny_data: Path, tmp_path: Path) -> None:
+    arguments = (*ROW, f"source.outputs={tmp_path}")
+    printed = {model: train(*arguments, f"model={model}", data=tiny_data) for model in ("copy_c", "copy_b")}
+    found = {model: metrics_of(tmp_path, model) for model in printed}
+    for model, text in printed.items():
+        mse, (low, high) = found[model]["metrics"]["mse"], found[model]["intervals"]["mse"]
+        assert line(text, "MSE, m², with 95 % interval") == f"{mse:.4f} [{low:.4f}, {high:.4f}]"
+        assert line(text, "copy C: nothing moves") == f"{found['copy_c']['metrics']['mse']:.4f}"
+        assert line(text, "copy B: the do-operation changes nothing") == f"{found['copy_b']['metrics']['mse']:.4f}"
+        explained = found[model]["metrics"]["twin_difference_explained"]
+        assert line(text, "Of the twins' difference, explained").startswith(f"{explained:.1%} ")
+        assert f"Results: {tmp_path}" in text
+        assert "Share" not in text
+    assert line(printed["copy_c"], "the paper's number of this row") == "4.370"
+
+
+def test_the_share_is_told_where_both_oracles_were_run(tiny_data: Path, tmp_path: Path) -> None:
+    arguments = (*ROW, f"source.outputs={tmp_path}")
+    for oracle in ("oracle_feedforward", "oracle_counterfactual"):
+        train(*arguments, f"model={oracle}", data=tiny_data)
+    printed = train(*arguments, "model=copy_b", data=tiny_data)
+    ours, without, with_ab = (
+        metrics_of(tmp_path, model)["metrics"]["mse"]
+        for model in ("copy_b", "oracle_feedforward", "oracle_counterfactual")
+    )
+    assert line(printed, "Share of the possible gain").startswith(f"{(without - ours) / (without - with_ab):.0%} [")
+
+
+@pytest.mark.parametrize(
+    ("split", "model", "ablation", "number"),
+    [("3to4", "cophynet", "full", 0.482), ("3to3", "in", "gt_confounders", 0.296), ("3to3_seen", "npe", "full", None)],
+)
+def test_the_papers_number_is_that_of_the_row(split: str, model: str, ablation: str, number: float | None) -> None:
+    names = {"scenario": "blocktower", "split": split, "model": model, "ablation": ablation, "size": "small"}
+    assert published_mse({**names, "positions": "ground_truth"}) == number
+    assert published_mse({**names, "positions": "derendered"}) is None or model == "cophynet"
