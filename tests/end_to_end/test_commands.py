@@ -101,8 +101,10 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     markdown = (tmp_path / "report" / "tables.md").read_text()
     assert "— / 0.318" in markdown  # IN was not run
     names = {path.name for path in (tmp_path / "report" / "figures").iterdir()}
-    assert {"table-blocktower.png", "trajectories-blocktower-3to3.png", "error_over_time-blocktower-3to3.png"} <= names
-    assert {"difficulty-blocktower-3to3-tiny.png", "stability_distribution-tiny.png"} <= names
+    of_models = {f"trajectories-blocktower-3to3-{model}" for model in ("cophynet", "cophynet-mlp", "copy_c", "copy_b")}
+    drawn = {"table-blocktower", "error_over_time-blocktower-3to3", *of_models}
+    drawn |= {"difficulty-blocktower-3to3-tiny", "stability_distribution-tiny"}
+    assert {f"{name}.{kind}" for name in drawn for kind in ("png", "pdf")} <= names
     printed = run("report", f"outputs={tmp_path}", f"directory={tmp_path}/elsewhere", "data_dir=nowhere")
     assert "nowhere/blocktower/3-tiny-" in printed
     assert not (tmp_path / "elsewhere" / "difficulty.md").exists()

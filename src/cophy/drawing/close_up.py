@@ -37,12 +37,12 @@ def render_sequence(
 
 
 def window_of(scenario: Scenario, arrays: dict[str, np.ndarray], experiments: Sequence[int]) -> Window:
-    """The part of the picture in which everything moves, in all frames of these experiments.
+    """The part of the picture in which everything moves, in all frames of some experiments.
 
     Args:
         scenario: Of the dataset.
         arrays: The dataset.
-        experiments: Indices of those that are to be seen.
+        experiments: Their indices.
     """
     rows = list(experiments)
     places = arrays["states"][rows, :, :: scenario.clock.states_per_frame, :, :3]

@@ -14,7 +14,14 @@ MIN_VIEW_M = 2.0  # what hardly moves shall not look as if it did
 
 
 def draw_trajectories(
-    initial: np.ndarray, predicted: np.ndarray, true: np.ndarray, presence: np.ndarray, *, colors: Sequence[str]
+    initial: np.ndarray,
+    predicted: np.ndarray,
+    true: np.ndarray,
+    presence: np.ndarray,
+    *,
+    colors: Sequence[str],
+    title: str = "",
+    headings: Sequence[str] = (),
 ) -> Figure:
     """Predicted and true trajectories of a few experiments, from above and from the side, each object in its colour.
 
@@ -27,11 +34,14 @@ def draw_trajectories(
         true: (N, T-1, K, 3) in D.
         presence: (N, K) which slots hold an object.
         colors: Of the slots.
+        title: Of the figure.
+        headings: Of the experiments; none, or one for each.
     """
     count = len(initial)
-    figure = Figure(figsize=(3.0 * count, 6.4), layout="constrained")
+    figure = Figure(figsize=(3.0 * count, 6.8), layout="constrained")
+    figure.suptitle(title, fontsize="medium")
     axes = figure.subplots(len(VIEWS), count, squeeze=False)
-    for row, (view, (right, up)) in zip(axes, VIEWS.items(), strict=True):
+    for (view, (right, up)), row, named in zip(VIEWS.items(), axes, (headings, ()), strict=True):
         for n, axis in enumerate(row):
             everything = []
             for slot in np.flatnonzero(presence[n]).tolist():
@@ -47,13 +57,16 @@ def draw_trajectories(
             axis.set(
                 xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half), aspect="equal"
             )
-            axis.set(xlabel="x (m)", ylabel=f"{'xyz'[up]} (m)", title=view if n == 0 else "")
+            place = f"{view}\n" if n == 0 else ""
+            axis.set(xlabel="x (m)", ylabel=f"{place}{'xyz'[up]} (m)")
+            axis.set_title(named[n] if named else "", fontsize="medium")
+            axis.locator_params(nbins=4)
             axis.grid(alpha=0.2)
     marks = (("s", "", "C"), ("o", "-", "true D"), ("x", ":", "predicted D"))
     handles = [
         Line2D([], [], color="0.3", marker=m, ls=ls, markerfacecolor="none", label=name) for m, ls, name in marks
     ]
-    figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 

@@ -1,6 +1,5 @@
 """From outputs/ to tables and figures, ours beside the paper's numbers."""
 
-import io
 import logging
 from collections.abc import Mapping
 from pathlib import Path
@@ -62,10 +61,9 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
             drawn |= _stability_distributions(finished, scenarios, choices)
             drawn |= _write_difficulty(directory, finished, scenarios, choices)
     for name, figure in drawn.items():
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=110)
-        write_atomically(directory / "figures" / f"{name}.png", picture.getvalue())
-    log.info("%d runs; tables (md, tex, csv), their captions and %d figures in\n%s", len(runs), len(drawn), directory)
+        figures.write_figure(directory / "figures", name, figure)
+    said = "%d runs; tables (md, tex, csv), their captions and %d figures (png, pdf) in\n%s"
+    log.info(said, len(runs), len(drawn), directory)
 
 
 def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figure]:
@@ -86,7 +84,8 @@ def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figu
         if (shares := result.shares()) is not None:
             shown = shares if show_all else terminal_tables.filled_only(shares)
             terminal_tables.show(table_formats.SHARE, shown)
-        drawn[f"table-{result.table.id}"] = figures.draw_bars(result)
+        if result.values["seeds"].any():
+            drawn[f"table-{result.table.id}"] = figures.draw_bars(result)
     if empty and not show_all:
         log.info(
             terminal_tables.notice(f"{empty} of the paper's tables have nothing of ours yet: all=true shows them.")
