@@ -167,6 +167,7 @@ def random_batch(size: int, slots: int, objects: int) -> Batch:
         initial=inputs.initial,
         observed_presence=presence,
         pair=torch.arange(size) // 2,
+        cell=torch.zeros(size, dtype=torch.long),
         confounder_class=torch.randint(0, 2, (size, slots, 2)),
     )
     return Batch(inputs, targets)

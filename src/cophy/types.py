@@ -99,6 +99,7 @@ class Targets:
         observed_presence: Which slots truly hold an object in AB.
         confounder_class: Index of the mass, and of the friction, among the values of the scenario's grid.
         pair: The twin pair that an experiment is of; twins have the same. Released experiments have one each.
+        cell: Index among `Scenario.cells()`; -1 where it is not known (released data).
     """
 
     position: Float[Tensor, "batch steps slots 3"]
@@ -108,6 +109,7 @@ class Targets:
     observed_presence: Bool[Tensor, "batch slots"]
     confounder_class: Int[Tensor, "batch slots 2"]
     pair: Int[Tensor, "batch"]
+    cell: Int[Tensor, "batch"]
 
     def __len__(self) -> int:
         return len(self.initial)

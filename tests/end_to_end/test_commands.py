@@ -42,8 +42,18 @@ def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: P
     assert (tmp_path / ".hydra" / "config.yaml").exists()
     curves = EventAccumulator(str(tmp_path / "tensorboard"))
     curves.Reload()
-    assert {"train/loss", "val/mse", "train/mse", "val/stability_accuracy", "lr-Adam"} <= set(curves.Tags()["scalars"])
-    assert {"val/trajectories", "val/error_over_time"} <= set(curves.Tags()["images"])
+    scalars = set(curves.Tags()["scalars"])
+    assert {
+        "mse/val",
+        "mse/test",
+        "train/mse",
+        "val/stability_accuracy",
+        "train/lr-Adam",
+        "train/gradient_norm",
+    } <= scalars
+    assert "epoch" not in scalars
+    assert any(name.startswith("mse_by_cell/") for name in scalars) == (name != "balls")
+    assert {"val/trajectories", "val/error_over_time", "val/clip"} <= set(curves.Tags()["images"])
 
 
 def test_a_fast_dev_run_takes_a_step_and_leaves_no_results(tiny_data: Path, tmp_path: Path) -> None:
@@ -188,7 +198,7 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     row = directory("derenderer", "ground_truth")
     measured = json.loads((row / "metrics.json").read_text())["metrics"]
     assert {"mse", "euclidean_error", "x_error", "presence_accuracy", "mean_position_error"} <= set(measured)
-    curves = EventAccumulator(str(row / "tensorboard"))
+    curves = EventAccumulator(str(tmp_path / "tensorboard" / f"collision_all_derenderer_{row.name}"))
     curves.Reload()
     assert {"val/centres", "val/clip"} <= set(curves.Tags()["images"])
 

@@ -51,6 +51,7 @@ def random_batch(num_slots: int, num_objects: list[int], num_frames: int = 30) -
         observed_presence=observed_presence,
         confounder_class=torch.zeros(size, num_slots, 2, dtype=torch.long),
         pair=torch.arange(size) // 2,
+        cell=torch.zeros(size, dtype=torch.long),
     )
     return Batch(inputs, targets)
 

@@ -141,3 +141,23 @@ def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: flo
         lines = sorted(axis.get_lines(), key=lambda line: -float(np.asarray(line.get_ydata())[-1]))
         figure.legend(handles=lines, loc="outside right center", frameon=False, fontsize="small")
     return figure
+
+
+def draw_confusion(counts: np.ndarray, names: Sequence[str]) -> Figure:
+    """How often each outcome was predicted for each true one, with its share of the true ones.
+
+    Args:
+        counts: (C, C) experiments; rows are true outcomes, columns predicted ones.
+        names: Of the outcomes.
+    """
+    figure = Figure(figsize=(4.2, 3.6), layout="constrained")
+    axis = figure.subplots()
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    axis.imshow(shares, cmap="Blues", vmin=0, vmax=1)
+    for (row, column), share in np.ndenumerate(shares):
+        text = f"{int(counts[row, column])}\n{share:.0%}"
+        axis.text(column, row, text, ha="center", va="center", color="white" if share > 0.5 else "black")
+    axis.set_xticks(range(len(names)), names)
+    axis.set_yticks(range(len(names)), names)
+    axis.set(xlabel="predicted", ylabel="true", title="Towers of CD: count, share of its row")
+    return figure

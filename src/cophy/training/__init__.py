@@ -7,7 +7,8 @@ augmentation: training experiments, turned and mirrored.
 optimisation: Adam and its learning rate over time.
 settings: the key `training` of the configuration.
 model_contract: what a network has to return.
-callbacks: what a training shows and says on its way.
+curves: how TensorBoard names runs and values.
+callbacks/: what a training shows and says on its way.
 measures/: how predictions are judged.
 runs/: one run, from data and network to its results.
 trained/: checkpoints, and what is done with them.

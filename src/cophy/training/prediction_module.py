@@ -1,5 +1,6 @@
 """Stage 2: train and test a predictor of D."""
 
+import math
 from dataclasses import replace
 
 import lightning as L
@@ -16,8 +17,9 @@ from cophy.scenario import Scenario
 from cophy.training.augmentation import augment
 from cophy.training.losses import confounder_loss, position_loss, stability_loss
 from cophy.training.measures.gathering import of_all_devices
-from cophy.training.measures.metrics import collection, position_measures, stability_measures
+from cophy.training.measures.metrics import collection, mean_squared_error, position_measures, stability_measures
 from cophy.training.measures.twin_metrics import have_twins, twin_collection
+from cophy.training.measures.validation_counts import MeanOfEachCell, StandingConfusion
 from cophy.training.model_contract import NOT_FINITE, check_shapes, estimate_dim
 from cophy.training.optimisation import optimisation
 from cophy.training.settings import Training
@@ -29,9 +31,11 @@ class PredictionModule(L.LightningModule):
 
     Attributes:
         tested: After a test, on the CPU: the predictions and what they were made for.
+        standing: After a validation of towers: `StandingConfusion`; None where nothing is said about stability.
     """
 
     tested: tuple[Prediction, Batch]
+    standing: np.ndarray | None = None
     symmetries: Float[Tensor, "symmetry 2 2"]
     missed_position: Float[Tensor, "3"]
 
@@ -65,6 +69,9 @@ class PredictionModule(L.LightningModule):
             {f"in_{s}_{kind}": collection(m, f"{s}/") for s in ("train", "val") for kind, m in measures.items()}
         )
         self.metrics["in_val_twins"] = twin_collection(scenario.task.metric_dims, "val/")  # in training, twins part
+        self.cells, self.squared_error = scenario.cells(), mean_squared_error(scenario.task.metric_dims)
+        self.mse_of_cells = MeanOfEachCell(len(self.cells))
+        self.confusion = StandingConfusion() if scenario.statics is not None else None
 
     def forward(self, batch: Batch) -> Prediction:
         """Predict D; only `batch.inputs` reaches the network."""
@@ -80,13 +87,29 @@ class PredictionModule(L.LightningModule):
         self._measure("train", prediction, batch)
         return self._loss("train", prediction, batch)
 
+    def on_validation_epoch_start(self) -> None:
+        self.mse_of_cells.reset()
+        self.standing = None
+        if self.confusion is not None:
+            self.confusion.reset()
+
     def validation_step(self, batch: Batch) -> STEP_OUTPUT:
         prediction = self(batch)
         loss = self._loss("val", prediction, batch)
         if not torch.isfinite(loss):
             raise CophyError(f"{type(self.network).__name__} {NOT_FINITE}")
         self._measure("val", prediction, batch)
+        self.mse_of_cells.update(self.squared_error(prediction, batch.targets), batch.targets.cell)
+        if self.confusion is not None and prediction.stable_logit is not None:
+            self.confusion.update(prediction, batch.targets)
         return loss
+
+    def on_validation_epoch_end(self) -> None:
+        found = zip(self.cells, self.mse_of_cells.compute().tolist(), strict=True)
+        if len(self.cells) > 1:
+            self.log_dict({f"val/mse_{cell}": mse for cell, mse in found if not math.isnan(mse)}, sync_dist=True)
+        if self.confusion is not None and self.confusion.update_called:
+            self.standing = self.confusion.compute().cpu().numpy()
 
     def on_test_epoch_start(self) -> None:
         self._test_steps: list[tuple[Prediction, Batch]] = []

@@ -30,6 +30,7 @@ def targets() -> Targets:
         observed_presence=presence,
         confounder_class=torch.tensor([[[0, 0], [1, 1]], [[9, 9], [1, 0]]]),
         pair=torch.zeros(2, dtype=torch.long),
+        cell=torch.tensor([2, 0]),
     )
 
 

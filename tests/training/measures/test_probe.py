@@ -25,6 +25,7 @@ def labelled(count: int, seed: int) -> Probed:
         observed_presence=presence,
         confounder_class=classes,
         pair=torch.arange(count) // 2,
+        cell=torch.zeros(count, dtype=torch.long),
     )
     return Probed(torch.where(presence[..., None], estimate, 1e6), targets)
 

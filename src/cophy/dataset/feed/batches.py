@@ -37,6 +37,7 @@ def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
         observed_presence=observed_presence,
         confounder_class=confounder_classes(arrays, scenario.confounders),
         pair=torch.from_numpy(arrays["twin"].astype(np.int64)),
+        cell=torch.from_numpy(arrays.get("cell", np.full(len(positions), -1)).astype(np.int64)),
     )
     return Batch(inputs, targets)
 

@@ -1,7 +1,6 @@
 """Carry a run out: train (or adopt a training that was the same), test the best checkpoint, write the results."""
 
 import logging
-import math
 import signal
 import time
 from dataclasses import dataclass
@@ -9,17 +8,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import lightning as L
-from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.trainer.states import TrainerFn
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
 from cophy.errors import CophyError
-from cophy.training.callbacks import BestValidation, Stopwatch
+from cophy.training.callbacks.best_validation import BestValidation
+from cophy.training.callbacks.stopwatch import Stopwatch
 from cophy.training.runs import devices, reuse
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import write_metrics
 from cophy.training.runs.reuse import Trained
 from cophy.training.runs.stages import Stage
-from cophy.training.runs.trainer import finishing, loggers_of, make_trainer
+from cophy.training.runs.trainer import finishing, log_results, loggers_of, make_trainer
 from cophy.training.trained.checkpoints import Origin
 from cophy.training.trained.resuming import flatten
 
@@ -79,15 +79,17 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
         trainer = make_trainer(run, origin, [stage.figures, *watched], loggers, plan.trainer)
         devices.meet(trainer, stage.module)
         for logger in trainer.loggers:
-            has_table = isinstance(logger, TensorBoardLogger)  # of runs, with a column for the result
-            results = {"metrics": {"test/mse": math.nan}} if has_table else {}
-            logger.log_hyperparams(compared(run, origin, plan.trainer), **results)
+            logger.log_hyperparams(compared(run, origin, plan.trainer))
         best, trained = None, Trained(0.0, {}, 0)
         if stage.learns:
             trained = _train(trainer, watched, run, stage, plan, origin)
             best = None if plan.is_trial else run.checkpoints / "best.ckpt"
         elif plan.resume is not None:
             raise CophyError(f"ckpt={plan.resume}: {run.model} has nothing to train or to restore")
+        if (
+            trainer.state.fn != TrainerFn.FITTING
+        ):  # nothing was trained here: pictures and validation metrics come from this
+            trainer.validate(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
         trainer.test(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
         if plan.is_trial:
             return {}
@@ -105,9 +107,7 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
         }
         measured = stage.measure()
         metrics = write_metrics(run, measured, about | {"wall_seconds": round(time.monotonic() - plan.started, 1)})
-        for logger in trainer.loggers:
-            logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, trainer.global_step)
-            logger.save()
+        log_results(trainer.loggers, metrics, trainer.global_step)
         return trained.validation
 
 

@@ -47,6 +47,13 @@ class Run:
         return Path(self.scenario, self.split, self.model, self.ablation, self.positions, last)
 
     @property
+    def short_name(self) -> str:
+        """What tells it from all runs beside it, in one word: its place without what is as usual."""
+        usual = {("ablation", "full"), ("positions", "ground_truth")}
+        chosen = [(key, getattr(self, key)) for key in ("scenario", "split", "model", "ablation", "positions")]
+        return "_".join([*(value for key, value in chosen if (key, value) not in usual), self.place.name])
+
+    @property
     def root(self) -> Path | None:
         """The root of all runs, where the run lies in its place below it."""
         depth = len(self.place.parts)

@@ -10,13 +10,15 @@ import torch
 from cophy.dataset import generation
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.store.forecasts import OracleSettings
+from cophy.training.callbacks.prediction_figures import NUM_SHOWN, DrawnPredictions
+from cophy.training.curves import Curves
 from cophy.training.measures.copies import mse_of_copies
 from cophy.training.measures.evaluation import evaluate
 from cophy.training.runs.devices import is_first
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import Measured, write_metrics, write_predictions
-from cophy.training.runs.trainer import finishing, loggers_of
-from cophy.types import Prediction
+from cophy.training.runs.trainer import finishing, log_results, loggers_of
+from cophy.types import Prediction, take
 
 MIN_PROBABILITY = 1e-6  # of being stable, and of not, so that its logit is finite
 
@@ -61,8 +63,11 @@ def carry_out_oracle(
     with finishing(chosen):
         for logger in chosen:
             logger.log_hyperparams(run.names() | {f"model.{key}": value for key, value in asdict(settings).items()})
-            logger.log_metrics({f"test/{name}": value for name, value in metrics.items()}, step=0)
-            logger.save()
+            if isinstance(logger, Curves):
+                shown = take(data.test.batch, slice(NUM_SHOWN))
+                drawn = DrawnPredictions(shown, data.scenario, "test")
+                drawn.add(logger.experiment, take(prediction, slice(NUM_SHOWN)), step=0)
+        log_results(chosen, metrics, step=0)
 
 
 def forecast(data: CounterfactualDataModule, oracle: str, settings: OracleSettings) -> Prediction:

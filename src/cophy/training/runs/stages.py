@@ -9,7 +9,8 @@ from torch import nn
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.feed.frame_datamodule import FrameDataModule
 from cophy.models.derenderer import Derenderer
-from cophy.training.callbacks import NUM_SHOWN, DerenderingFigures, PredictionFigures
+from cophy.training.callbacks.derendering_figures import DerenderingFigures
+from cophy.training.callbacks.prediction_figures import PredictionFigures
 from cophy.training.derendering_module import DerenderingModule
 from cophy.training.measures.copies import mse_of_copies
 from cophy.training.measures.evaluation import evaluate
@@ -18,7 +19,6 @@ from cophy.training.prediction_module import PredictionModule
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import Measured, write_predictions
 from cophy.training.settings import Training
-from cophy.types import take
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,6 @@ def prediction_stage(
         copies = mse_of_copies(data.test.batch, scenario, data.mean_position)
         return Measured(values, batch.targets.pair.numpy(), copies)
 
-    figures = PredictionFigures(take(data.val.batch, slice(NUM_SHOWN)), scenario, figures_every_n_epochs)
+    figures = PredictionFigures(data.val.batch, scenario, figures_every_n_epochs)
     derenderer = data.derenderer.name if data.derenderer else None
     return Stage(data, module, figures, measure, derenderer, data.split.epochs_factor)

@@ -13,7 +13,10 @@ from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint, Mo
 from lightning.pytorch.loggers import Logger
 
 from cophy.errors import CophyError
-from cophy.training.callbacks import BestCheckpoint, ResumeHint, SaveOrigin, SubmititsSignals
+from cophy.training.callbacks.gradient_norm import GradientNorm
+from cophy.training.callbacks.run_checkpoints import BestCheckpoint, SaveOrigin
+from cophy.training.callbacks.stopping import ResumeHint, SubmititsSignals
+from cophy.training.curves import Curves
 from cophy.training.runs.devices import plugins
 from cophy.training.runs.identity import Run
 from cophy.training.trained.checkpoints import Origin, WholeCheckpoints
@@ -40,10 +43,33 @@ def loggers_of(run: Run, chosen: dict[str, Any]) -> list[Logger]:
     """Where curves, figures and final metrics go.
 
     Args:
-        run: They go below its directory, unless a logger has a server.
+        run: They go below its directory, unless a logger has a server; curves into a folder of all runs, see `_place`.
         chosen: By `logger=`: a `_target_` and its arguments each (conf/logger).
     """
-    return [_made(f"logger={name}", arguments, save_dir=str(run.directory)) for name, arguments in chosen.items()]
+    return [_made(f"logger={name}", arguments, **_place(run, arguments)) for name, arguments in chosen.items()]
+
+
+def _place(run: Run, arguments: dict[str, Any]) -> dict[str, str]:
+    """Where a logger's files go: into the run's directory, but for curves, which TensorBoard names by their folder."""
+    if run.root is not None and arguments.get("_target_") == f"{Curves.__module__}.{Curves.__name__}":
+        return {"save_dir": str(run.root), "name": f"{arguments['name']}/{run.short_name}"}
+    return {"save_dir": str(run.directory)}
+
+
+def log_results(loggers: list[Logger], results: dict[str, float], step: int) -> None:
+    """Send what the test measured.
+
+    Args:
+        loggers: Where to.
+        results: Each measure's mean.
+        step: Of the training.
+    """
+    for logger in loggers:
+        if isinstance(logger, Curves):
+            logger.log_results(results, step)
+        else:
+            logger.log_metrics({f"test/{name}": value for name, value in results.items()}, step)
+        logger.save()
 
 
 @contextmanager
@@ -82,6 +108,7 @@ def make_trainer(
         SaveOrigin(origin),
         SubmititsSignals(),
         LearningRateMonitor("epoch"),
+        GradientNorm(),
         *watching,
         *(_made(f"callbacks={name}", each) for name, each in origin.training["callbacks"].items()),
         ResumeHint(run.checkpoints / "last.ckpt"),

@@ -1,0 +1,12 @@
+"""What a training shows and says on its way, each a callback of Lightning.
+
+prediction_figures: pictures of predictions for TensorBoard.
+prediction_clip: AB, the true CD and the predicted CD of twins as a clip.
+derendering_figures: pictures of what a de-renderer finds, likewise.
+drawing_times: when figures are drawn, and where they go.
+gradient_norm: how large gradients are, averaged over an epoch.
+best_validation: the validation metrics of the best epoch.
+run_checkpoints: what checkpoints hold, and which of them a resumed training goes on with.
+stopwatch: how long a training took.
+stopping: what happens when a training is stopped.
+"""

@@ -1,0 +1,32 @@
+"""What checkpoints hold, and which of them a resumed training goes on with."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+from lightning.pytorch.callbacks import ModelCheckpoint
+
+from cophy.training.trained.checkpoints import ORIGIN, Origin
+
+
+class SaveOrigin(L.Callback):
+    """Write into every checkpoint what it was trained as."""
+
+    def __init__(self, origin: Origin) -> None:
+        self.origin = origin
+
+    def on_save_checkpoint(self, trainer: L.Trainer, pl_module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
+        checkpoint[ORIGIN] = asdict(self.origin)
+
+
+class BestCheckpoint(ModelCheckpoint):
+    """Goes on with the best one so far, also where the run's directory was moved or a longer training has one of its own."""
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        best = str(Path(self.dirpath or "") / "best.ckpt")
+        if Path(best).exists() and state_dict["best_model_path"]:
+            scores = dict.fromkeys([best], state_dict["best_model_score"])
+            paths = {"dirpath": self.dirpath, "best_model_path": best, "kth_best_model_path": best}
+            state_dict = {**state_dict, **paths, "best_k_models": scores}
+        super().load_state_dict(state_dict)
