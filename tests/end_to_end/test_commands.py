@@ -52,7 +52,7 @@ def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: P
         "train/gradient_norm",
     } <= scalars
     assert "epoch" not in scalars
-    assert any(name.startswith("mse_by_cell/") for name in scalars) == (name != "balls")
+    assert any(name.startswith("per_cell/") for name in scalars) == (name != "balls")
     assert {"val/trajectories", "val/error_over_time", "val/clip"} <= set(curves.Tags()["images"])
 
 

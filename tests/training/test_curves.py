@@ -29,7 +29,7 @@ def test_the_first_card_is_a_result(tmp_path: Path) -> None:
     curves.save()
     found = kept(tmp_path)
     tags = sorted(found.Tags()["scalars"])
-    assert tags == ["mse/test", "mse/val", "mse_by_cell/both_stand", "test/pixel_error", "train/loss", "train/lr-Adam"]
+    assert tags == ["mse/test", "mse/val", "per_cell/mse_both_stand", "test/pixel_error", "train/loss", "train/lr-Adam"]
     assert [(event.step, event.value) for event in found.Scalars("mse/test")] == [(9, 4.0)]
 
 

@@ -26,12 +26,16 @@ class Curves(TensorBoardLogger):
         """
         self.log_metrics({f"test/{name}": value for name, value in results.items() if name not in COMPARED}, step)
         compared = {shown_as(f"test/{name}"): results[name] for name in COMPARED if name in results}
-        known = {key: value for key, value in dict(self.hparams).items() if value not in (None, "")}
+        known = {
+            key: value
+            for key, value in dict(self.hparams).items()
+            if value not in (None, "") and not key.endswith("_target_")
+        }
         super().log_hyperparams(known, compared, step)
 
 
 def shown_as(name: str) -> str:
-    """The name of a value's card: `val/mse` -> `mse/val`, `val/mse_` and a cell -> `mse_by_cell/` and the cell."""
+    """The name of a value's card: `val/mse` -> `mse/val`, `val/mse_` and a cell -> `per_cell/mse_` and the cell."""
     if name.startswith(OF_CELL):
-        return f"mse_by_cell/{name.removeprefix(OF_CELL)}"
+        return f"per_cell/{name.removeprefix('val/')}"
     return RENAMED.get(name, f"train/{name}" if name.startswith("lr-") else name)

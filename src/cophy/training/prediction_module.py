@@ -105,8 +105,8 @@ class PredictionModule(L.LightningModule):
         return loss
 
     def on_validation_epoch_end(self) -> None:
-        found = zip(self.cells, self.mse_of_cells.compute().tolist(), strict=True)
         if len(self.cells) > 1:
+            found = zip(self.cells, self.mse_of_cells.compute().tolist(), strict=True)
             self.log_dict({f"val/mse_{cell}": mse for cell, mse in found if not math.isnan(mse)}, sync_dist=True)
         if self.confusion is not None and self.confusion.update_called:
             self.standing = self.confusion.compute().cpu().numpy()

@@ -72,7 +72,9 @@ class DrawnPredictions:
         rate, colors = self.scenario.clock.frame_rate_hz, list(self.scenario.colors.values())
         figures = {
             "trajectories": draw_trajectories(initial, predicted, true, presence, colors=colors),
-            "error_over_time": draw_error_over_time({"": error}, frame_rate_hz=rate),
+            "error_over_time": draw_error_over_time(
+                {"": error}, frame_rate_hz=rate, title=f"mean of {len(initial)} experiments"
+            ),
         }
         for name, figure in figures.items():
             writer.add_figure(f"{self.split}/{name}", figure, step)
