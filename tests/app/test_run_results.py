@@ -47,6 +47,9 @@ def test_the_share_is_told_where_both_oracles_were_run(tiny_data: Path, tmp_path
         for model in ("copy_b", "oracle_feedforward", "oracle_counterfactual")
     )
     assert line(printed, "Share of the possible gain").startswith(f"{(without - ours) / (without - with_ab):.0%} [")
+    (strange,) = tmp_path.glob("collision/all/oracle_feedforward/full/ground_truth/*/metrics.json")
+    strange.write_text("[]")
+    assert "Share" not in train(*arguments, "model=copy_b", "reuse=false", data=tiny_data)
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,11 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from cophy.errors import CophyError
+from cophy.report.runs.stored_run import read_line
 from cophy.report.tables.paper_tables import published_mse
 from cophy.report.tables.shares import share_interval, stored_errors
-from cophy.training.runs.identity import METRICS, PREDICTIONS, Run
+from cophy.training.runs.identity import METRICS, Run
 
 ORACLES = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
 COPIES = {"copy_c": "copy C: nothing moves", "copy_b": "copy B: the do-operation changes nothing"}
@@ -78,8 +80,10 @@ def _oracle(of_model: Path, content: dict[str, Any]) -> Path | None:
     """The run of an oracle on the same test split; of several, the one that changes least."""
     found = of_model.glob(f"full/ground_truth/seed*/{METRICS}")
     for path in sorted(found, key=lambda path: len(path.parent.name)):
-        other = json.loads(path.read_bytes())
-        same = all(other[key] == content[key] for key in ("dataset_ids", "num_test"))
-        if same and (path.parent / PREDICTIONS).exists():
+        try:
+            other = read_line(path)
+        except CophyError:  # a file that train.py did not write; report.py names it
+            continue
+        if all(other[key] == content[key] for key in ("dataset_ids", "num_test")):
             return path.parent
     return None

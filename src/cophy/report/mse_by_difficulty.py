@@ -52,9 +52,10 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
         difference; NaN elsewhere.
     """
     tested = part.select_split(arrays, "test")
-    chosen = {name: array[tested] for name, array in (arrays | difficulty(arrays, spec)).items()}
+    chosen = {name: array[tested] for name, array in arrays.items()}
     truth, lines = to_batch(chosen, spec.scenario).targets, []
-    values = {name: chosen[name] for name in WORDS if name in chosen}
+    told = difficulty(arrays, spec)
+    values = {name: told[name][tested] for name in WORDS if name in told}
     for keys, found in runs.groupby([*SECTION, "model", "ablation"]):
         each = [error for run in found.to_dict("records") if (error := _errors(run, truth, spec)) is not None]
         if not each:

@@ -14,6 +14,13 @@ def test_every_cell_has_its_own_mean() -> None:
     torch.testing.assert_close(mean.compute(), torch.tensor([2.0, torch.nan, 2.0]).double(), equal_nan=True)
 
 
+def test_experiments_of_a_cell_are_counted_in_every_precision() -> None:
+    mean = MeanOfEachCell(1).to(torch.bfloat16)
+    for _ in range(3):
+        mean.update(torch.ones(200, dtype=torch.bfloat16), torch.zeros(200, dtype=torch.int64))
+    assert mean.count.tolist() == [600]
+
+
 def test_a_tower_stands_if_all_its_objects_do() -> None:
     targets = random_batch(4, [2, 2, 2, 2], num_frames=3).targets
     stands = torch.tensor([True, True, False, False])

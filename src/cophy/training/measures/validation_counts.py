@@ -17,14 +17,14 @@ class MeanOfEachCell(Metric):
 
     def __init__(self, num_cells: int) -> None:
         super().__init__()
-        for name in ("total", "count"):
-            self.add_state(name, torch.zeros(num_cells, dtype=torch.float64), dist_reduce_fx="sum")
+        for name, dtype in (("total", torch.float64), ("count", torch.int64)):
+            self.add_state(name, torch.zeros(num_cells, dtype=dtype), dist_reduce_fx="sum")
 
     def update(self, values: PerExperiment, cell: Tensor) -> None:
         """Add a batch: a value and the index of a cell per experiment."""
         known = cell >= 0
-        self.total.index_add_(0, cell[known], values[known].double())
-        self.count.index_add_(0, cell[known], torch.ones_like(values[known], dtype=torch.float64))
+        self.total.index_add_(0, cell[known], values[known].to(self.total))  # trainer.precision may have changed it
+        self.count.index_add_(0, cell[known], torch.ones_like(cell[known]))
 
     def compute(self) -> Tensor:
         """(num_cells,) over all batches."""
