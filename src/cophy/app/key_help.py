@@ -73,7 +73,7 @@ def keys_of(file: str, *more: str, _root_: DictConfig) -> str:
         lines += _entry(f"{key}={_value(_root_, key)}", meaning)
     lines += [
         "",
-        "All keys with their values: --cfg job. Hydra's own options: --hydra-help. Keys are set as key=value.",
+        "All keys: --cfg job. Hydra's own options: --hydra-help.",
     ]
     return "\n".join(lines).replace("$", "$$")  # the whole is a string.Template
 

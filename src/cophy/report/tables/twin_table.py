@@ -46,6 +46,7 @@ def _table(runs: pd.DataFrame, measure: str) -> pd.DataFrame:
 
 
 def _text(found: pd.DataFrame, measure: str) -> str:
-    value, low, high = (100 * found[name].mean() for name in (measure, f"{measure}_low", f"{measure}_high"))
+    ends = (measure, f"{measure}_low", f"{measure}_high")
+    value, low, high = (round(100 * found[name].mean(), 1) + 0.0 for name in ends)  # no "-0.0"
     spread = f" ± {100 * found[measure].std():.1f}" if len(found) > 1 else ""
     return f"{value:.1f} %{spread} [{low:.1f}, {high:.1f}]"
