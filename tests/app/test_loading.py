@@ -85,7 +85,8 @@ def test_released_data_are_read_alike(tmp_path: Path) -> None:
         ({"resolution": 3}, "between 16 and 4096"),
     ],
 )
-def test_mistakes_are_named(wrong: dict, said: str, tiny_data: Path) -> None:
-    asked = {"scenario": "balls", "size": "tiny", "data_dir": str(tiny_data), "modalities": ("rgb",), **wrong}
+def test_mistakes_are_named_before_anything_is_generated(wrong: dict, said: str, tmp_path: Path) -> None:
+    asked = {"scenario": "balls", "size": "tiny", "data_dir": str(tmp_path), "modalities": ("rgb",), **wrong}
     with pytest.raises(CophyError, match=said):
         cophy.load(**asked)
+    assert not list(tmp_path.iterdir())

@@ -13,6 +13,7 @@ from cophy.app.schemas.commands import TrainConfig
 from cophy.app.schemas.registration import register
 from cophy.dataset import generation
 from cophy.dataset.experiment_dataset import ExperimentDataset
+from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError
 from cophy.scenario.rendering.frames import MODALITIES
 
@@ -56,6 +57,8 @@ def load(
     if unknown := set(modalities) - {STATES, *MODALITIES}:
         known = ", ".join((STATES, *MODALITIES))
         raise CophyError(f"modalities: there is no {', '.join(sorted(unknown))}; there are {known}")
+    if split not in (None, *SPLITS):
+        raise CophyError(f"split={split}: there are {', '.join(SPLITS)}, and None for all")
     pictures = [name for name in MODALITIES if name in modalities]
     chosen: dict[str, Any] = {
         "source": source,  # before the scenario, which it changes

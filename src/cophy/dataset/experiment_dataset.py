@@ -9,7 +9,6 @@ from torch.utils.data import Dataset
 
 from cophy.dataset.splits import SPLITS
 from cophy.dataset.store.experiment_set import ExperimentSet, FrameSource, Pictures
-from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
 SIGNED = {np.dtype("<u2"): "<i4"}  # which torch can hardly compute with
@@ -44,10 +43,8 @@ class ExperimentDataset(Dataset[dict[str, Tensor]]):
             modalities: Those of the pictures that are read.
 
         Raises:
-            CophyError: There is no such split, or the set is damaged.
+            CophyError: The set is damaged.
         """
-        if split not in (None, *SPLITS):
-            raise CophyError(f"split={split}: there are {', '.join(SPLITS)}, and None for all")
         arrays = experiments.load()
         chosen = np.ones(len(arrays["split"]), bool) if split is None else arrays["split"] == SPLITS.index(split)
         self.scenario: Scenario = experiments.spec.scenario

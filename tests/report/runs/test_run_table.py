@@ -47,7 +47,7 @@ def leave(directory: Path, metrics: str | bytes, config: str = CONFIG) -> None:
     position, present = torch.zeros(2, 5, 3, 3), torch.ones(2, 3, dtype=torch.bool)
     targets = Targets(
         position, torch.ones(2, 5, 3, dtype=torch.bool), present, position[:, 0], present,
-        torch.zeros(2, 3, 2, dtype=torch.long), torch.zeros(2, dtype=torch.long),
+        torch.zeros(2, 3, 2, dtype=torch.long), torch.zeros(2, dtype=torch.long), torch.zeros(2, dtype=torch.long),
     )  # fmt: skip
     write_predictions(directory, Prediction(position), targets)
 

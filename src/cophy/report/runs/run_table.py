@@ -39,9 +39,8 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
     for path in sorted(found for place in places for found in outputs.glob(place)):
         try:
             line = read_line(path)
-            changes = _misplaced(line, path.parent)
-            if line["error"] is None:
-                changes += _changes(line, path.parent, keys_of(line))
+            _check_place(line, path.parent)
+            changes = _changes(line, path.parent, keys_of(line)) if line["error"] is None else []
         except (CophyError, OmegaConfBaseException) as error:
             log.warning("%s is skipped: %s", path, " ".join(str(error).split()))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError, YAMLError) as error:
@@ -88,9 +87,10 @@ def _show(values: "pd.Series[float]") -> str:
     return f"{values.mean():.3f}" if len(values) == 1 else f"{values.mean():.3f} ± {values.std():.3f}"
 
 
-def _misplaced(line: dict[str, Any], directory: Path) -> list[str]:
+def _check_place(line: dict[str, Any], directory: Path) -> None:
     names = [str(line[name]) for name in NAMES[:5]] + [f"seed{line['seed']}{line['variant']}"]
-    return [] if list(directory.parts[-6:]) == names else [f"it says it is {'/'.join(names)}"]
+    if list(directory.parts[-6:]) != names:
+        raise CophyError(f"it says it is {'/'.join(names)}")
 
 
 def _changes(line: dict[str, Any], directory: Path, expected: dict[str, Any]) -> list[str]:
