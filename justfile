@@ -74,10 +74,11 @@ derender *args: setup
 look *args: setup
     {{bin}}/python src/look.py {{args}}
 
-# what predict.py needs: CoPhyNet, and a de-renderer that learns from the pictures of 400 experiments: just trained balls 4
+# what predict.py needs, in outputs/trained: CoPhyNet, and a de-renderer of 400 experiments: just trained balls 4
 trained scenario="collision" objects="2": setup
-    {{bin}}/python src/train.py scenario={{scenario}} model=cophynet
-    {{bin}}/python src/train.py scenario={{scenario}} model=derenderer size.num_experiments.{{scenario}}.{{objects}}=400
+    {{bin}}/python src/train.py scenario={{scenario}} model=cophynet hydra.run.dir=outputs/trained/{{scenario}}/cophynet
+    {{bin}}/python src/train.py scenario={{scenario}} model=derenderer size.num_experiments.{{scenario}}.{{objects}}=400 \
+        hydra.run.dir=outputs/trained/{{scenario}}/derenderer
 
 # from pictures of AB and C to a clip of D: just predict --help
 predict *args: setup
