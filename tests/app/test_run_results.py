@@ -8,7 +8,7 @@ import pytest
 from cophy.report.tables.paper_tables import published_mse
 from tests.commands import train
 
-ROW = ("scenario=collision", "logger=[]")
+ROW = ("scenario=collision",)
 
 
 def line(printed: str, title: str) -> str:

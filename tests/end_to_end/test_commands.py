@@ -27,7 +27,7 @@ def audit(data: Path, **kwargs: int) -> str:
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: Path) -> None:
-    train(f"scenario={name}", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    train(f"scenario={name}", "logger=tensorboard", f"hydra.run.dir={tmp_path}", data=tiny_data)
     content = json.loads((tmp_path / "metrics.json").read_text())
     assert set(content) == FIELDS
     assert content["scenario"] == name
@@ -195,7 +195,7 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
         return found
 
     sizes = ("model.resolution=16", "model.width=2", "model.readout=linear", "num_images=200", "trainer.max_epochs=2")
-    train("model=derenderer", *small, "render.resolution=16", *sizes, data=tiny_data)
+    train("model=derenderer", *small, "render.resolution=16", "logger=tensorboard", *sizes, data=tiny_data)
     row = directory("derenderer", "ground_truth")
     measured = json.loads((row / "metrics.json").read_text())["metrics"]
     assert {"mse", "euclidean_error", "x_error", "presence_accuracy", "mean_position_error"} <= set(measured)

@@ -107,7 +107,7 @@ def make_trainer(
         ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True),
         SaveOrigin(origin),
         SubmititsSignals(),
-        LearningRateMonitor("epoch"),
+        *([LearningRateMonitor("epoch")] if loggers else []),
         GradientNorm(),
         *watching,
         *(_made(f"callbacks={name}", each) for name, each in origin.training["callbacks"].items()),
