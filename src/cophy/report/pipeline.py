@@ -125,7 +125,7 @@ def _show_twins(runs: pd.DataFrame) -> None:
     """Print what predictions tell of twins, for each kind of runs apart."""
     shown = [(f"{title}: {kind}", table) for kind, found in kinds(runs) for title, table in twin_tables(found).items()]
     for title, table in shown:
-        short = table.columns.str.replace(r"^\S+ (\S+), .*?, (\d+ epochs).*", r"\1, \2", regex=True)
+        short = table.columns.str.replace(r"^\S+ (\S+), [^,]*(, \d+ epochs)?.*", r"\1\2", regex=True)
         alone = short.str.replace(r", .*", "", regex=True)  # the epochs of each are told above
         splits = table.set_axis(alone if alone.is_unique else short, axis=1)
         terminal_tables.show(title, splits)

@@ -9,6 +9,7 @@ MEASURES = {
     "twin_difference_explained": "Of the twins' difference, explained",
     "right_twin_chosen": "Right twin chosen",
 }
+BESIDE = ["scenario", "split", "size", "positions"]  # what runs of one column share, but for their epochs
 CAPTION = (
     "Twins share A, C and the do-operation and differ in their confounders, which AB alone shows. Explained: "
     "1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|², with ΔP and ΔD the predicted and the true difference between twins; 0 % for any model "
@@ -28,15 +29,23 @@ def twin_tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """
     if not set(MEASURES) <= set(runs.columns):
         return {}
-    tested = runs[runs["right_twin_chosen"].notna()]
+    tested = _beside_longest(runs[runs["right_twin_chosen"].notna()])
     row = [row_name(model, ablation) for model, ablation in zip(tested["model"], tested["ablation"], strict=True)]
     named = tested.assign(row=row, column=tested.apply(_column, axis=1))
     return {title: _table(named, measure) for measure, title in MEASURES.items()}
 
 
+def _beside_longest(tested: pd.DataFrame) -> pd.DataFrame:
+    """The runs; those that trained nothing, as copies, take the epochs of the longest training beside them, or none."""
+    trained = tested["epochs"].where(tested["training_seconds"] > 0)
+    longest = trained.groupby([tested[name] for name in BESIDE]).transform("max")
+    return tested.assign(epochs=trained.fillna(longest))
+
+
 def _column(run: "pd.Series[str]") -> str:
     positions = "" if run["positions"] == "ground_truth" else f", {run['positions']}"
-    return f"{run['scenario']} {run['split']}, {run['size']}, {run['epochs']:.0f} epochs{positions}"
+    epochs = "" if pd.isna(run["epochs"]) else f", {run['epochs']:.0f} epochs"
+    return f"{run['scenario']} {run['split']}, {run['size']}{epochs}{positions}"
 
 
 def _table(runs: pd.DataFrame, measure: str) -> pd.DataFrame:
