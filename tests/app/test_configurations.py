@@ -149,6 +149,8 @@ MISTAKES = {
     "optimized_metric=test/mse": "optimized_metric=test/mse must be of the validation split",
     "model.gating=never": "model.gating",
     "trainer.max_epoch=3": "did you mean max_epochs?",
+    "max_epochs=3": "(did you mean trainer.max_epochs?)",
+    "learning_rat=1": "(did you mean training.learning_rate?)",
     "model.hidden_dim=0": "model: hidden_dim",
     "training.learning_rate=-1": "training: batch_size and learning_rate must be positive",
     "positions=guessed": "positions=guessed is not among ground_truth",

@@ -79,6 +79,7 @@ def test_released_data_are_read_alike(tmp_path: Path) -> None:
     [
         ({"scenario": "ball"}, "did you mean balls"),
         ({"split": "testing"}, "there are train, val, test"),
+        ({"modalities": "rgb"}, r"a tuple of names, as \('rgb',\)"),
         ({"modalities": ("colour",)}, "there are states, rgb"),
         ({"num_objects": 9}, "no count for balls with 9 objects"),
         ({"source": "cophy"}, "needs source.root="),

@@ -16,6 +16,10 @@ def result(root: Path, split: str) -> dict:
     return json.loads((root / f"balls/{split}/cophynet/full/ground_truth/{RUN}/metrics.json").read_text())
 
 
+def curves_in(root: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in root.rglob("events.out.tfevents.*")}
+
+
 def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path: Path) -> None:
     printed = train("-m", *HALVES, "split=4to4,4to3", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
     assert printed.count("trained already") == 1
@@ -34,6 +38,17 @@ def test_a_training_on_half_of_the_data_takes_twice_the_epochs(tiny_data: Path, 
     train("trainer.max_epochs=1", "split=3to3_unseen", f"hydra.run.dir={tmp_path}", data=tiny_data)
     assert json.loads((tmp_path / "metrics.json").read_text())["max_epochs"] == 2
     assert torch.load(tmp_path / "checkpoints" / "last.ckpt", weights_only=True)["epoch"] == 1
+
+
+@pytest.mark.slow
+def test_curves_are_of_the_last_training_alone(tiny_data: Path, tmp_path: Path) -> None:
+    place = (*HALVES, f"source.outputs={tmp_path}", "logger=[tensorboard]", "figures_every_n_epochs=9", "model=in")
+    train(*place, data=tiny_data, apart=True)
+    first = curves_in(tmp_path)
+    assert "trained already" in train(*place, data=tiny_data, apart=True)
+    assert curves_in(tmp_path) == first
+    train(*place, "reuse=false", data=tiny_data, apart=True)
+    assert not curves_in(tmp_path).keys() & first.keys()
 
 
 def test_another_training_is_not_reused(tiny_data: Path, tmp_path: Path) -> None:

@@ -33,6 +33,16 @@ def test_the_first_card_is_a_result(tmp_path: Path) -> None:
     assert [(event.step, event.value) for event in found.Scalars("mse/test")] == [(9, 4.0)]
 
 
+def test_a_training_anew_forgets_the_curves_of_an_earlier_one(tmp_path: Path) -> None:
+    for value in (1.0, 2.0):
+        curves = Curves(str(tmp_path), name="", version="", default_hp_metric=False)
+        curves.log_metrics({"val/mse": value}, 0)
+        curves.forget_earlier()
+        curves.save()
+        curves.experiment.close()
+    assert [event.value for event in kept(tmp_path).Scalars("mse/val")] == [2.0]
+
+
 def test_short_names_tell_runs_apart(tmp_path: Path) -> None:
     runs = [
         run_of(tmp_path),

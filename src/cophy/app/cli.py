@@ -98,7 +98,7 @@ def explain(error: BaseException) -> str:
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if isinstance(cause, OmegaConfBaseException) and cause.key is not None:
         what = (cause.msg or str(cause)).splitlines()[0]
-        return f"{cause.full_key or cause.key}: {what}{_suggest(str(cause.key), _siblings(cause))}"
+        return f"{cause.full_key or cause.key}: {what}{_suggest_key(str(cause.key), cause.parent_node)}"
     return " ".join(line.strip() for line in str(error).splitlines() if line.strip())
 
 
@@ -121,9 +121,19 @@ def _explain_choice(file: str, options: Sequence[str]) -> str:
     return f"{found} (a folder of your own: --config-dir)"
 
 
-def _siblings(error: OmegaConfBaseException) -> list[str]:
-    node = error.parent_node
-    return [str(key) for key in node] if OmegaConf.is_dict(node) else []
+def _suggest_key(name: str, node: Any) -> str:
+    """The nearest key beside it, or else further down: `max_epochs` is one of `trainer`."""
+    if not OmegaConf.is_dict(node):
+        return ""
+    if beside := _suggest(name, [str(key) for key in node]):
+        return beside
+    inner = {str(group): node._get_node(group) for group in node}
+    below = [
+        f"{group}.{key!s}" for group, keys in inner.items() if isinstance(keys, DictConfig) and keys for key in keys
+    ]
+    nearest = get_close_matches(name, [key.rpartition(".")[2] for key in below], n=1)
+    found = [key for key in below if key.rpartition(".")[2] in nearest]
+    return f" (did you mean {' or '.join(found)}?)" if found else ""
 
 
 def _suggest(name: str, known: Sequence[str]) -> str:

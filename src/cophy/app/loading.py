@@ -54,6 +54,8 @@ def load(
     Raises:
         CophyError: A name does not exist, or data are damaged; the message says what to do.
     """
+    if isinstance(modalities, str):
+        raise CophyError(f"modalities: a tuple of names, as ('{modalities}',)")
     if unknown := set(modalities) - {STATES, *MODALITIES}:
         known = ", ".join((STATES, *MODALITIES))
         raise CophyError(f"modalities: there is no {', '.join(sorted(unknown))}; there are {known}")

@@ -35,7 +35,7 @@ def show_results(run: Run, metric_dims: int) -> None:
     table = Table(
         box=SIMPLE_HEAD, title=f"{run.model} ({run.ablation}) on {run.scenario} {run.split}", title_justify="left"
     )
-    table.add_column("Of the test split")
+    table.add_column(f"Of the test split, {content['num_test']} experiments")
     table.add_column("", justify="right", no_wrap=True)
     for line in _lines(run, content, metric_dims):
         table.add_row(*line)

@@ -28,6 +28,7 @@ from cophy.errors import CophyError
 
 FULL = 1 << 20  # bytes; ours: with less left, a worker that died is taken to have died of that
 log = logging.getLogger(__name__)
+GUARD = "`if __name__ == '__main__':`"
 _done: "Synchronized[int]"  # experiments generated so far, shared by the workers of one run
 
 
@@ -40,7 +41,7 @@ def ensure(shards: ShardSet, *, workers: int) -> None:
 def make(shards: ShardSet, *, workers: int) -> None:
     """Make what is missing or damaged; several processes may ask for it at once, one works."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker imports the script that started it
-        raise CophyError("put what your script runs under `if __name__ == '__main__':`, generation starts processes")
+        raise CophyError(f"put what your script runs under {GUARD}, generation starts processes")
     with _explain_full_disk(shards), _locked(shards.directory) as writable, _without_leftovers(shards.directory):
         missing = _missing(shards, range(shards.spec.num_shards))
         if not (writable or shards.is_finished()) or (missing and not writable):
@@ -127,8 +128,10 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
         except BrokenProcessPool as error:
             if shutil.disk_usage(shards.directory).free < FULL:  # HDF5 can end a process that cannot write
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
+            unguarded = "" if done.value else f"; a script of your own begins with {GUARD}"
             raise CophyError(
                 "a worker process was killed (out of memory?): finished shards are kept, run again with fewer workers="
+                + unguarded
             ) from error
         except BaseException:
             for worker in multiprocessing.active_children():

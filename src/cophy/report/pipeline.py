@@ -25,7 +25,8 @@ from cophy.scenario import Scenario
 
 log = logging.getLogger(__name__)
 
-OVERVIEW = "Epochs of training, where there was any, × seeds."
+OVERVIEW = "MSE of the test split, m² (epochs of training, where there was any, × seeds)."
+MOST_FAILURES = 5  # that are told; runs.csv has all
 SHOWN = ("run", "seeds", "training (s)", "mse", "final position error")  # of the summary, in the terminal
 
 
@@ -44,6 +45,7 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
     tables = overviews(runs)
     for number, (title, table) in enumerate(tables.items(), start=1):
         terminal_tables.show(f"What was run: {title}", table, OVERVIEW if number == len(tables) else "")
+    _show_failures(runs)
     filled = [fill(table, runs, stored_errors) for table in paper_tables()]
     drawn = _show_tables(filled, show_all=show_all)
     twins = twin_tables(runs)
@@ -64,6 +66,15 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
         figures.write_figure(directory / "figures", name, figure)
     said = "%d runs; tables (md, tex, csv), their captions and %d figures (png, pdf) in\n%s"
     log.info(said, len(runs), len(drawn), directory)
+
+
+def _show_failures(runs: pd.DataFrame) -> None:
+    """Print why runs failed."""
+    failed = runs[runs["error"].notna()] if len(runs) else runs
+    for directory, error in zip(failed["directory"][:MOST_FAILURES], failed["error"], strict=False):
+        log.info(terminal_tables.notice(f"failed: {directory}: {error}"))
+    if len(failed):
+        log.info(terminal_tables.notice("A failed run is forgotten once it is made again, or its folder is removed."))
 
 
 def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figure]:

@@ -1,6 +1,8 @@
 """How TensorBoard names runs and values: results first, nothing that is constant."""
 
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 from lightning.pytorch.loggers import TensorBoardLogger
 
@@ -12,7 +14,21 @@ COMPARED = ("mse", "twin_difference_explained", "right_twin_chosen", "sequence_s
 
 
 class Curves(TensorBoardLogger):
-    """Lightning's logger for TensorBoard, with cards in the order of what matters."""
+    """Lightning's logger for TensorBoard, with cards in the order of what matters.
+
+    Attributes:
+        earlier: What lies in its folder already: curves of an earlier training of the same run.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.earlier = sorted(Path(self.log_dir).rglob("events.out.tfevents.*"))
+
+    def forget_earlier(self) -> None:
+        """Remove those curves: two trainings would be drawn as one line."""
+        for path in self.earlier:
+            path.unlink(missing_ok=True)
+        self.earlier = []
 
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
         super().log_metrics({shown_as(key): each for key, each in metrics.items() if key not in CONSTANT}, step)

@@ -66,21 +66,21 @@ def test_empty_rows_and_columns_are_left_out() -> None:
     assert filled_only(cells).to_dict() == {"a": {"x": "0.1 / 0.2"}}
 
 
-def test_the_overview_tells_epochs_seeds_and_failures() -> None:
+def test_the_overview_tells_mse_epochs_seeds_and_failures() -> None:
     lines = [
         *(run("cophynet", seed=seed) for seed in range(3)),
         run("copy_c", training_seconds=0.0),
         run("cophynet", split="3to4") | {"error": "broken"},
         run("in", positions="derendered"),
     ]
-    found = overviews(pd.DataFrame(lines))
+    found = overviews(pd.DataFrame([line | {"mse": 0.2} for line in lines]))
     assert list(found) == [
         "blocktower, size small, estimated positions",
         "blocktower, size small, true positions",
     ]
     table = found["blocktower, size small, true positions"]
-    assert table.loc["cophynet"].to_dict() == {"3to3": "40 × 3", "3to4": "1 failed"}
-    assert table.loc["copy_c"].to_dict() == {"3to3": "× 1", "3to4": "—"}
+    assert table.loc["cophynet"].to_dict() == {"3to3": "0.200 (40 × 3)", "3to4": "1 failed"}
+    assert table.loc["copy_c"].to_dict() == {"3to3": "0.200 (× 1)", "3to4": "—"}
 
 
 def test_a_notice_fits(monkeypatch: pytest.MonkeyPatch) -> None:

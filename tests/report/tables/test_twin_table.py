@@ -39,3 +39,5 @@ def test_what_trains_nothing_stands_beside_the_longest_training() -> None:
 def test_without_twins_there_is_no_table() -> None:
     assert twin_tables(pd.DataFrame([measured("mse", 0.2, "cophynet")])) == {}
     assert twin_tables(pd.DataFrame()) == {}
+    failed = run("cophynet", error="broken", right_twin_chosen=float("nan"), twin_difference_explained=float("nan"))
+    assert twin_tables(pd.DataFrame([failed])) == {}

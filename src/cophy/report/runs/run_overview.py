@@ -1,4 +1,4 @@
-"""What was run, before any number: which rows on which splits, how long, and with how many seeds."""
+"""What was run: which rows on which splits, their MSE, how long they were trained, and with how many seeds."""
 
 from collections.abc import Iterator
 
@@ -15,7 +15,9 @@ SEEN = {
 
 
 def overviews(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Title to a table of rows × splits. A cell holds the epochs (where anything was trained) and the number of seeds.
+    """Title to a table of rows × splits. A cell holds MSE, epochs (where anything was trained) and number of seeds.
+
+    Of trainings of several lengths, the MSE is that of the longest.
 
     Args:
         runs: See `read_runs`.
@@ -45,5 +47,6 @@ def _text(runs: pd.DataFrame) -> str:
         return failed
     lengths = sorted(finished.loc[finished["training_seconds"] > 0, "epochs"].astype(int).unique())
     epochs = ", ".join(map(str, lengths))
-    text = f"{epochs} × {len(finished)}" if epochs else f"× {len(finished)}"
+    longest = finished[finished["epochs"] == finished["epochs"].max()]
+    text = f"{longest['mse'].mean():.3f} ({epochs} × {len(finished)})".replace("( ", "(")
     return text if len(finished) == len(runs) else f"{text}, {failed}"

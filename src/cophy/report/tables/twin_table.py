@@ -27,7 +27,7 @@ def twin_tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     Returns:
         Empty where no run was tested on twins.
     """
-    if not set(MEASURES) <= set(runs.columns):
+    if not set(MEASURES) <= set(runs.columns) or runs["right_twin_chosen"].isna().all():
         return {}
     tested = _beside_longest(runs[runs["right_twin_chosen"].notna()])
     row = [row_name(model, ablation) for model, ablation in zip(tested["model"], tested["ablation"], strict=True)]

@@ -14,12 +14,13 @@ from lightning.pytorch.utilities.exceptions import SIGTERMException
 from cophy.errors import CophyError
 from cophy.training.callbacks.best_validation import BestValidation
 from cophy.training.callbacks.stopwatch import Stopwatch
+from cophy.training.curves import Curves
 from cophy.training.runs import devices, reuse
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import write_metrics
 from cophy.training.runs.reuse import Trained
 from cophy.training.runs.stages import Stage
-from cophy.training.runs.trainer import finishing, log_results, loggers_of, make_trainer
+from cophy.training.runs.trainer import finishing, forget_curves, log_results, loggers_of, make_trainer
 from cophy.training.trained.checkpoints import Origin
 from cophy.training.trained.resuming import flatten
 
@@ -73,22 +74,24 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
     Returns:
         The validation metrics of the epoch whose weights were tested; nothing from a trial, or where nothing is trained.
     """
-    watched = Watched(BestValidation(run.checkpoints / "best.ckpt"), Stopwatch())
+    watched = Watched(BestValidation(run.checkpoints / "best.ckpt"), Stopwatch(str(run.place)))
     loggers = loggers_of(run, plan.loggers)
     with finishing(loggers):
         trainer = make_trainer(run, origin, [stage.figures, *watched], loggers, plan.trainer)
         devices.meet(trainer, stage.module)
-        for logger in trainer.loggers:
-            logger.log_hyperparams(compared(run, origin, plan.trainer))
         best, trained = None, Trained(0.0, {}, 0)
         if stage.learns:
             trained = _train(trainer, watched, run, stage, plan, origin)
             best = None if plan.is_trial else run.checkpoints / "best.ckpt"
         elif plan.resume is not None:
             raise CophyError(f"ckpt={plan.resume}: {run.model} has nothing to train or to restore")
+        else:
+            forget_curves(trainer)
         if (
             trainer.state.fn != TrainerFn.FITTING
         ):  # nothing was trained here: pictures and validation metrics come from this
+            trainer.loggers = [each for each in trainer.loggers if not (isinstance(each, Curves) and each.earlier)]
+            _log_names(trainer, run, plan, origin)
             trainer.validate(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
         trainer.test(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
         if plan.is_trial:
@@ -122,6 +125,11 @@ def compared(run: Run, origin: Origin, trainer: dict[str, Any]) -> dict[str, Any
     return run.names() | flatten({"model": origin.model, "training": origin.training, "trainer": trainer})
 
 
+def _log_names(trainer: L.Trainer, run: Run, plan: Plan, origin: Origin) -> None:
+    for logger in trainer.loggers:
+        logger.log_hyperparams(compared(run, origin, plan.trainer))
+
+
 def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: Plan, origin: Origin) -> Trained:
     """Fit, go on where the same training was stopped, or adopt the checkpoints of one that was the same."""
     given, anew = plan.resume, not plan.reuse and not devices.was_queued_again()
@@ -134,6 +142,8 @@ def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: P
         wanted = reuse.fingerprint(stage.module.network, origin, settings, resumed_from=given)
         if not anew and (found := reuse.find_checkpoints(run, wanted)) is not None:
             log.info("trained already, on the same data with the same settings: %s (reuse=false trains again)", found)
+            if found.resolve() != run.checkpoints.resolve():
+                forget_curves(trainer)
             return reuse.adopt(found, run)
         if stopped := reuse.begin(run, wanted, anew=anew, given=given):
             log.info("goes on where it was stopped: %s (reuse=false trains again)", run.checkpoints / "last.ckpt")
@@ -145,6 +155,9 @@ def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: P
     if isinstance(known, Trained):
         return known
     wanted, resumed, resume = known
+    if not resumed:
+        forget_curves(trainer)
+    _log_names(trainer, run, plan, origin)
     try:
         trainer.fit(stage.module, stage.data, ckpt_path=resume, weights_only=True)
     except SIGTERMException as error:

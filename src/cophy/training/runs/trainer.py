@@ -56,6 +56,13 @@ def _place(run: Run, arguments: dict[str, Any]) -> dict[str, str]:
     return {"save_dir": str(run.directory)}
 
 
+def forget_curves(trainer: L.Trainer) -> None:
+    """Before a training begins anew: remove TensorBoard's curves of an earlier one of the same run."""
+    for logger in trainer.loggers if trainer.is_global_zero else []:
+        if isinstance(logger, Curves):
+            logger.forget_earlier()
+
+
 def log_results(loggers: list[Logger], results: dict[str, float], step: int) -> None:
     """Send what the test measured.
 
@@ -79,6 +86,8 @@ def finishing(loggers: list[Logger]) -> Iterator[None]:
         yield
     finally:
         for logger in loggers:
+            if isinstance(logger, Curves):  # to ask for its writer would make a file
+                continue
             if finish := getattr(getattr(logger, "experiment", None), "finish", None):
                 finish()
 

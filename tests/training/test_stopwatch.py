@@ -1,0 +1,28 @@
+"""A log tells how far a training is, where no bar does."""
+
+import logging
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from cophy.training.callbacks import stopwatch
+from cophy.training.callbacks.stopwatch import Stopwatch
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(0.0, 3), (3600.0, 0)])
+def test_progress_is_logged_now_and_then(
+    seconds: float, told: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(stopwatch, "TOLD_EVERY_S", seconds)
+    measured = {"val/mse": torch.tensor(0.25)}
+    trainer = SimpleNamespace(
+        progress_bar_callback=None, is_global_zero=True, max_epochs=3, callback_metrics=measured, current_epoch=0
+    )
+    watch = Stopwatch("balls/4to4/in")
+    with caplog.at_level(logging.INFO):
+        for trainer.current_epoch in range(3):
+            watch.on_train_epoch_end(trainer, None)
+    assert len(caplog.messages) == told
+    if told:
+        assert caplog.messages[1].startswith("balls/4to4/in: epoch 2 of 3, val/mse 0.2500, ")
