@@ -59,16 +59,16 @@ def keys_of(file: str, *more: str, _root_: DictConfig) -> str:
     """
     added = [name for name in more if not name.startswith("-")]
     chosen = _root_.hydra.runtime.choices
-    lines = ["Choices:"]
+    choices = []
     for group in [*groups(file), *(name for name in added if "." not in name)]:
         options = GlobalHydra.instance().config_loader().get_group_options(group.lstrip("+"), ObjectType.CONFIG)
         if len(options) > 1 and f"-{group}" not in more:
-            lines += _entry(f"{group}={_plain(chosen.get(group, ''))}", ", ".join(options))
+            choices += _entry(f"{group}={_plain(chosen.get(group, ''))}", ", ".join(options))
     said = meanings(file)
     for name in (name for name in added if "." in name):
         group, _, key = name.partition(".")
         said[name] = meanings(f"{group}/{chosen[group]}")[key]
-    lines += ["", "Keys:"]
+    lines = ["Choices:", *choices, "", "Keys:"] if choices else ["Keys:"]
     for key, meaning in said.items():
         lines += _entry(f"{key}={_value(_root_, key)}", meaning)
     lines += [

@@ -44,7 +44,7 @@ def main(cfg: DictConfig) -> None:
     split = SPLITS[arrays["split"][settings.experiment]]
     log.info(
         "%s: sheet.png (A, B, C, D of %d experiments); of experiment %d (%s split) twins.png, strip.png, modalities.png, clip.gif, "
-        "and every frame in AB/ and CD/",
+        "every frame in AB/ and CD/, and background.png without objects",
         *(directory, num_shown, settings.experiment, split),
     )
 

@@ -86,7 +86,9 @@ def write_experiment(
             counterfactual[times],
         ),
     ]
-    strip = labelled([at(time, rate) for time in times], rows, cell_px(render.resolution))
+    headings = [at(time, rate) for time in times]
+    headings[0], headings[-1] = f"A and C, {headings[0]}", f"B and D, {headings[-1]}"
+    strip = labelled(headings, rows, cell_px(render.resolution))
     write_picture(directory / "strip.png", under([Line(f"{scenario.name}, experiment {experiment}", bold=True)], strip))
     clip = side_by_side({"AB: observed": observed, f"CD: {changed}": counterfactual}, frame_rate_hz=rate)
     write_atomically(directory / "clip.gif", gif(clip, frames_per_second=rate))
