@@ -77,7 +77,7 @@ look *args: setup
 # what predict.py needs, in outputs/trained: CoPhyNet, and a de-renderer of 400 experiments: just trained balls 4
 trained scenario="collision" objects="2": setup
     {{bin}}/python src/train.py scenario={{scenario}} model=cophynet hydra.run.dir=outputs/trained/{{scenario}}/cophynet
-    {{bin}}/python src/train.py scenario={{scenario}} model=derenderer size.num_experiments.{{scenario}}.{{objects}}=400 num_images=8000 \
+    {{bin}}/python src/train.py scenario={{scenario}} model=derenderer size.num_experiments.{{scenario}}.{{objects}}=400 \
         hydra.run.dir=outputs/trained/{{scenario}}/derenderer
 
 # from pictures of AB and C to a clip of D: just predict --help
