@@ -69,6 +69,10 @@ derender *args: setup
 look *args: setup
     {{bin}}/python src/look.py {{args}}
 
+# the human study of Table 1, on localhost: just study scenario=blocktower
+study *args: setup
+    {{bin}}/python src/study.py {{args}}
+
 # from pictures of AB and C to a clip of D: just predict --help
 predict *args: setup
     {{bin}}/python src/predict.py {{args}}

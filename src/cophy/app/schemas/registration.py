@@ -23,6 +23,7 @@ from cophy.app.schemas.models import (
     InteractionNetworkConfig,
     OracleConfig,
 )
+from cophy.app.schemas.study_command import StudyConfig
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
@@ -40,6 +41,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "look": LookConfig,
         "predict": PredictConfig,
         "report": ReportConfig,
+        "study": StudyConfig,
     },
     "scenario": {**SCENARIOS},
     "split": {"split": Split},
