@@ -2,6 +2,7 @@
 
 import importlib.util
 import logging
+import sys
 from pathlib import Path
 
 import hydra
@@ -11,7 +12,8 @@ from cophy.app import cli
 from cophy.app.composition import CONF, to_config
 from cophy.app.datasets import generated_by
 from cophy.app.schemas.registration import register
-from cophy.app.schemas.study_command import StudyConfig
+from cophy.app.schemas.study_command import ACTIONS, StudyConfig
+from cophy.atomic_files import write_atomically
 from cophy.dataset import generation
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
@@ -27,7 +29,7 @@ def main(cfg: DictConfig) -> None:
     settings = to_config(cfg, StudyConfig)
     states = _data(settings)
     generation.ensure(states, workers=settings.workers)
-    _serve(settings, states)
+    {"serve": _serve, "export": _export}[settings.action](settings, states)
 
 
 def _data(settings: StudyConfig) -> States:
@@ -54,6 +56,27 @@ def _serve(settings: StudyConfig, states: States) -> None:
     store.close()
 
 
+def _export(settings: StudyConfig, states: States) -> None:
+    """answers.csv with a line per object of every answer; table.csv with the rows of Table 1."""
+    from cophy.study.experiments import StudyExperiments
+    from cophy.study.judging import human_rows, judge, read_clicks
+
+    directory = Path(settings.directory)
+    path = directory / "answers.sqlite"
+    if not path.exists():
+        raise CophyError(f"{path} does not exist: nobody took this study yet")
+    experiments = StudyExperiments(states, settings.split, settings.study)
+    judged = judge(read_clicks(path, experiments.study_id), experiments)
+    rows = human_rows(judged)
+    for name, table in (("answers.csv", judged), ("table.csv", rows)):
+        write_atomically(directory / name, table.to_csv(index=False).encode())
+    log.info(
+        "%s\n%d clicks in answers.csv, these rows in table.csv: %s", rows.round(2).to_string(), len(judged), directory
+    )
+
+
 def run() -> None:
-    """The command, as `pip install` puts it on the PATH."""
+    """The command, as `pip install` puts it on the PATH. Its first word may be an action: study.py export."""
+    if sys.argv[1:2] and sys.argv[1] in ACTIONS:
+        sys.argv[1] = f"action={sys.argv[1]}"
     cli.run(main)

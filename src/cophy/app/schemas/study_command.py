@@ -7,7 +7,7 @@ from omegaconf import MISSING
 from cophy.app.schemas.commands import MakeDataConfig
 from cophy.study.study_settings import Limits, StudySettings
 
-ACTIONS = ("serve",)
+ACTIONS = ("serve", "export")
 
 
 @dataclass
