@@ -80,6 +80,10 @@ trained scenario="collision" objects="2": setup
     {{bin}}/python src/train.py scenario={{scenario}} model=derenderer size.num_experiments.{{scenario}}.{{objects}}=400 \
         hydra.run.dir=outputs/trained/{{scenario}}/derenderer
 
+# the human study of Table 1, on localhost: just study scenario=blocktower
+study *args: setup
+    {{bin}}/python src/study.py {{args}}
+
 # from pictures of AB and C to a clip of D: just predict --help
 predict *args: setup
     {{bin}}/python src/predict.py {{args}}

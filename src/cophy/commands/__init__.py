@@ -7,5 +7,6 @@ report: tables and figures of all runs.
 derender: what a de-renderer sees in every frame.
 look: pictures of a dataset.
 predict: from pictures of AB and C to D.
+study: the human study of Table 1.
 export: generated data in the format of a released dataset.
 """

@@ -24,6 +24,7 @@ from cophy.app.schemas.models import (
     InteractionNetworkConfig,
     OracleConfig,
 )
+from cophy.app.schemas.study_command import StudyConfig
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
@@ -41,6 +42,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "look": LookConfig,
         "predict": PredictConfig,
         "report": ReportConfig,
+        "study": StudyConfig,
     },
     "scenario": {**SCENARIOS},
     "split": {"split": Split},

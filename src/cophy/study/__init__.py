@@ -1,0 +1,12 @@
+"""The human study of Table 1: people see C, with or without AB, and click where every object will end.
+
+study_settings: what a study is, and its name.
+plan: which experiments a participant sees, in which setting and order.
+answers: what a person says of one experiment, checked.
+answer_store: one SQLite file with participants, answers and clicks.
+sessions: where a participant is, and what may come next.
+experiments: the experiments of a study; what a browser is told of them, and where objects end in the picture.
+judging: how far clicks are from the truth, and the rows of Table 1.
+pages/: what a browser is served.
+web/: the page itself (HTML, JavaScript, styles, the text of the first page).
+"""

@@ -1,0 +1,78 @@
+"""How far clicks are from where objects end, per answer and in the rows of Table 1."""
+
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from cophy.bootstrap import interval
+from cophy.study.experiments import StudyExperiments
+
+REFERENCE_RESOLUTION = 448  # paper Table 1: pixel errors are given at 448 x 448
+QUERY = """
+SELECT p.kind, p.number AS participant, a.position, a.practice, a.setting, a.experiment, c.slot, c.x, c.y, c.at_ms,
+    a.late, a.undone, a.names_shown, a.input, a.window_width, a.window_height, a.opened_at, a.begun_at, a.answered_at
+FROM participants p JOIN answers a ON a.participant = p.id JOIN clicks c USING (participant, position)
+WHERE p.study = ? ORDER BY p.kind, p.number, a.position, c.slot
+"""
+
+
+def read_clicks(path: Path, study: str) -> pd.DataFrame:
+    """One line per object of every answer of a study, x and y NaN where it was not clicked. The file is only read."""
+    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+    try:
+        clicks = pd.read_sql_query(QUERY, connection, params=(study,))
+    finally:
+        connection.close()
+    return clicks.assign(x=clicks["x"].astype(float), y=clicks["y"].astype(float))
+
+
+def judge(clicks: pd.DataFrame, experiments: StudyExperiments) -> pd.DataFrame:
+    """The same with the object's name, its rank from below in C (1 is the lowest), where it ends, and the error.
+
+    The error is in pixels of a picture of 448 × 448, NaN where it was not clicked.
+    """
+    truth = []
+    for experiment in clicks["experiment"].unique().tolist():
+        ends = experiments.ends(experiment)
+        for rank, each in enumerate(experiments.objects(experiment), start=1):
+            truth.append((experiment, each["slot"], each["name"], rank, *ends[each["slot"]]))
+    columns = ["experiment", "slot", "object", "rank", "true_x", "true_y"]
+    judged = clicks.merge(pd.DataFrame(truth, columns=columns), on=["experiment", "slot"], how="left", validate="m:1")
+    distance = np.hypot(judged["x"] - judged["true_x"], judged["y"] - judged["true_y"])
+    return judged.assign(error=distance * REFERENCE_RESOLUTION / experiments.settings.resolution)
+
+
+def human_rows(judged: pd.DataFrame) -> pd.DataFrame:
+    """One line per kind of participant and setting; practice does not count.
+
+    Columns: kind, setting, rank_1 (the lowest) and so on, mean and sigma (mean and standard deviation over answers of an
+    answer's mean error over its clicked objects), low and high of the 95 % interval of the mean by participant, and by twin
+    pair, participants, answers, and missing: the share of objects that were not clicked.
+    """
+    lines = []
+    for (kind, setting), found in judged[judged["practice"] == 0].groupby(["kind", "setting"]):
+        answers = found.groupby(["participant", "experiment"], as_index=False)["error"].mean()
+        error = answers["error"].to_numpy(float)
+        if not np.isfinite(error).any():
+            continue
+        low_people, high_people = interval(error, answers["participant"].to_numpy())
+        low_pairs, high_pairs = interval(error, answers["experiment"].to_numpy() // 2)
+        lines.append(
+            {
+                "kind": kind,
+                "setting": setting,
+                **{f"rank_{rank}": value for rank, value in found.groupby("rank")["error"].mean().items()},
+                "mean": np.nanmean(error),
+                "sigma": np.nanstd(error),
+                "low_people": low_people,
+                "high_people": high_people,
+                "low_pairs": low_pairs,
+                "high_pairs": high_pairs,
+                "participants": answers["participant"].nunique(),
+                "answers": len(answers),
+                "missing": found["x"].isna().mean(),
+            }
+        )
+    return pd.DataFrame(lines)

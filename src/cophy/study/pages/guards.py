@@ -1,0 +1,102 @@
+"""What every answer of the server carries, and what no browser may exceed."""
+
+import json
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import urlsplit
+
+from starlette.datastructures import MutableHeaders
+from starlette.requests import Request
+from starlette.responses import JSONResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from cophy.study.sessions import RefusedError
+
+MAX_BODY_BYTES = 4096  # an answer on nine objects has about 700
+MAX_PATH_BYTES = 512
+BURST_S = 5.0  # so many seconds' worth of requests may come at once
+MAX_ADDRESSES = 10_000  # that rates are remembered of
+# styles in attributes: the bar of jsPsych's preloading; scripts only from our own files
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; img-src 'self' blob: data:; "
+    "media-src 'self' blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
+    "Cache-Control": "no-store",
+}
+
+
+class Rate:
+    """So many requests per second from one address, and so many at once after a pause."""
+
+    def __init__(self, per_second: float, at_once: float, now: Callable[[], float] = time.monotonic) -> None:
+        self._per_second, self._at_once, self._now = per_second, at_once, now
+        self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()  # address -> requests left, when
+
+    def allows(self, address: str) -> bool:
+        """Whether one more may come now; it counts."""
+        now, most = self._now(), self._at_once
+        left, before = self._left.pop(address, (most, now))
+        left = min(most, left + (now - before) * self._per_second)
+        self._left[address] = (left - 1 if left >= 1 else left, now)
+        if len(self._left) > MAX_ADDRESSES:
+            self._left.popitem(last=False)
+        return left >= 1
+
+
+class Guards:
+    """ASGI middleware: limits first, then the page, with its headers."""
+
+    def __init__(self, app: ASGIApp, requests_per_second: float) -> None:
+        self._app, self._rate = app, Rate(requests_per_second, BURST_S * requests_per_second)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers[name] = value
+            await send(message)
+
+        address = scope["client"][0] if scope.get("client") else ""
+        if not self._rate.allows(address):
+            await JSONResponse({"error": "Too many requests."}, 429)(scope, receive, with_headers)
+        elif len(scope.get("raw_path", b"")) + len(scope["query_string"]) > MAX_PATH_BYTES:
+            await JSONResponse({"error": "The address is too long."}, 414)(scope, receive, with_headers)
+        else:
+            await self._app(scope, receive, with_headers)
+
+
+async def json_of(request: Request) -> Any:
+    """The body of a request of our own pages, decoded.
+
+    Raises:
+        RefusedError: it is too large, no JSON, or comes from another site.
+    """
+    origin = request.headers.get("origin")
+    if origin is not None and urlsplit(origin).netloc != request.headers.get("host"):
+        raise RefusedError(403, "This request comes from another site.")
+    if request.headers.get("content-type", "").split(";")[0] != "application/json":
+        raise RefusedError(415, "This is no JSON.")
+    body = bytearray()
+    async for part in request.stream():
+        body += part
+        if len(body) > MAX_BODY_BYTES:
+            raise RefusedError(413, "This is too large.")
+    try:
+        return json.loads(body, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise RefusedError(400, "This is no JSON.") from error
+
+
+def _refuse_constant(name: str) -> Any:
+    raise ValueError(name)

@@ -1,0 +1,228 @@
+"""Where a participant is, and what may come next. Time and order are the server's; a browser only asks."""
+
+import hashlib
+import hmac
+import json
+import secrets
+import sqlite3
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+from cophy.study.answer_store import AnswerStore
+from cophy.study.answers import Answer, parse
+from cophy.study.plan import Assignment
+from cophy.study.study_settings import StudySettings
+
+NUM_TOKEN_BYTES = 32
+CODE_LETTERS = "ABCDEFGHJKLMNPQRSTUVWXYZ23456789"  # none that look alike
+
+
+class RefusedError(Exception):
+    """What a browser asked for is not allowed; `status` is of HTTP."""
+
+    def __init__(self, status: int, reason: str) -> None:
+        super().__init__(reason)
+        self.status, self.reason = status, reason
+
+
+class Place(NamedTuple):
+    """Where a participant is: at `position` of all, or through with everything, where `assignment` is None."""
+
+    participant: int
+    position: int
+    assignment: Assignment | None
+    remaining_s: float | None  # None before the clock began
+    code: str
+
+
+class Sessions:
+    """All participants of one study and one kind: people, or one kind of simulated ones."""
+
+    def __init__(
+        self,
+        store: AnswerStore,
+        settings: StudySettings,
+        *,
+        study: str,
+        kind: str,
+        description: str,
+        practice: Sequence[Assignment],
+        plan: Callable[[int], Sequence[Assignment]],
+        slots_of: Callable[[int], set[int]],
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self.store, self.settings, self.study, self.kind = store, settings, study, kind
+        self.practice, self.slots_of, self.now = list(practice), slots_of, now
+        self._plan = plan
+        with store.transaction() as db:
+            db.execute("INSERT OR IGNORE INTO studies VALUES (?, ?)", (study, description))
+
+    @property
+    def num_positions(self) -> int:
+        """Practice and assignments of one participant."""
+        return len(self.practice) + self.settings.num_per_person
+
+    def consent(self, platform_id: str | None) -> str:
+        """A new participant's token, which nobody can guess; only its hash is kept, and that of the platform's id.
+
+        Raises:
+            RefusedError: the platform's id takes part already.
+        """
+        token, platform = secrets.token_urlsafe(NUM_TOKEN_BYTES), None
+        if platform_id is not None:
+            platform = hmac.new(self.study.encode(), platform_id.encode(), hashlib.sha256).hexdigest()
+        with self.store.transaction() as db:
+            of_study = (self.study, self.kind)
+            if (
+                platform
+                and db.execute(
+                    "SELECT 1 FROM participants WHERE study=? AND kind=? AND platform_hash=?", (*of_study, platform)
+                ).fetchone()
+            ):
+                raise RefusedError(409, "This id takes part already. Go on in the browser where you began.")
+            number = db.execute("SELECT count(*) FROM participants WHERE study=? AND kind=?", of_study).fetchone()[0]
+            code = "".join(secrets.choice(CODE_LETTERS) for _ in range(10))
+            db.execute(
+                "INSERT INTO participants (study, kind, number, token_hash, platform_hash, code, consented_at) "
+                "VALUES (?, ?, ?, ?, ?, ?, ?)",
+                (*of_study, number, _hash(token), platform, code, self.now()),
+            )
+        return token
+
+    def place(self, token: str | None) -> Place:
+        """Where the participant is. An assignment whose time is over counts as answered without clicks.
+
+        Raises:
+            RefusedError: nobody has this token.
+        """
+        with self.store.transaction() as db:
+            return self._place(db, token)
+
+    def begin(self, token: str | None, position: int) -> Place:
+        """The clock of the current assignment begins, once.
+
+        Raises:
+            RefusedError: it is not the current one.
+        """
+        with self.store.transaction() as db:
+            place = self._place(db, token)
+            self._check_current(place, position)
+            if place.remaining_s is None:
+                key = (place.participant, position)
+                db.execute("UPDATE answers SET begun_at=? WHERE participant=? AND position=?", (self.now(), *key))
+            return self._place(db, token)
+
+    def answer(self, token: str | None, position: int, body: Any) -> tuple[Assignment, bool]:
+        """Store an answer. The same one again changes nothing and is acknowledged again.
+
+        Args:
+            token: Of the participant.
+            position: Of the assignment.
+            body: Decoded JSON, see `parse`.
+
+        Returns:
+            The assignment, and whether it is practice.
+
+        Raises:
+            RefusedError: It is not the current one, not begun, or its time is over.
+            BadAnswerError: It is no answer.
+        """
+        with self.store.transaction() as db:
+            place = self._place(db, token)
+            plan = self._assignments(db, place.participant)
+            if 0 <= position < place.position:
+                return plan[position], self._check_same(db, place, position, body, plan[position])
+            self._check_current(place, position)
+            if place.remaining_s is None:
+                raise RefusedError(409, "The clock of this assignment has not begun.")
+            answer = self._parse(body, plan[position])
+            self._write(db, (place.participant, position), answer, self.slots_of(plan[position].experiment))
+            if position + 1 == self.num_positions:
+                db.execute("UPDATE participants SET finished_at=? WHERE id=?", (self.now(), place.participant))
+            return plan[position], position < len(self.practice)
+
+    def _parse(self, body: Any, assignment: Assignment) -> Answer:
+        last_ms = round(1000 * (self.settings.seconds + self.settings.tolerance_s))
+        slots = self.slots_of(assignment.experiment)
+        return parse(body, slots=slots, resolution=self.settings.resolution, last_ms=last_ms)
+
+    def _check_same(
+        self, db: sqlite3.Connection, place: Place, position: int, body: Any, assignment: Assignment
+    ) -> bool:
+        """Whether it is practice; refused where it is not what was stored."""
+        row = db.execute(
+            "SELECT digest, practice FROM answers WHERE participant=? AND position=?", (place.participant, position)
+        ).fetchone()
+        if row["digest"] is None or row["digest"] != _digest(self._parse(body, assignment)):
+            raise RefusedError(409, "This assignment was answered already, or its time is over.")
+        return bool(row["practice"])
+
+    def _place(self, db: sqlite3.Connection, token: str | None) -> Place:
+        found = db.execute(
+            "SELECT id, code FROM participants WHERE token_hash=? AND study=? AND kind=?",
+            (_hash(token or ""), self.study, self.kind),
+        ).fetchone()
+        if found is None:
+            raise RefusedError(401, "There is no such session.")
+        participant = int(found["id"])
+        while True:
+            position = db.execute(
+                "SELECT count(*) FROM answers WHERE participant=? AND answered_at IS NOT NULL", (participant,)
+            ).fetchone()[0]
+            if position == self.num_positions:
+                return Place(participant, position, None, None, found["code"])
+            assignment = self._assignments(db, participant)[position]
+            remaining_s = self._remaining(db, participant, position, assignment)
+            if remaining_s is None or remaining_s > -self.settings.tolerance_s:
+                return Place(participant, position, assignment, remaining_s, found["code"])
+            self._write(db, (participant, position), None, self.slots_of(assignment.experiment))
+            if position + 1 == self.num_positions:
+                db.execute("UPDATE participants SET finished_at=? WHERE id=?", (self.now(), participant))
+
+    def _remaining(
+        self, db: sqlite3.Connection, participant: int, position: int, assignment: Assignment
+    ) -> float | None:
+        """Seconds until the clock ends; None where it has not begun. Notes when an assignment was first opened."""
+        db.execute(
+            "INSERT OR IGNORE INTO answers (participant, position, practice, experiment, setting, opened_at) "
+            "VALUES (?, ?, ?, ?, ?, ?)",
+            (participant, position, position < len(self.practice), *assignment, self.now()),
+        )
+        begun = db.execute(
+            "SELECT begun_at FROM answers WHERE participant=? AND position=?", (participant, position)
+        ).fetchone()[0]
+        return None if begun is None else self.settings.seconds - (self.now() - begun)
+
+    def _assignments(self, db: sqlite3.Connection, participant: int) -> list[Assignment]:
+        number = db.execute("SELECT number FROM participants WHERE id=?", (participant,)).fetchone()[0]
+        return [*self.practice, *self._plan(number)]
+
+    @staticmethod
+    def _check_current(place: Place, position: int) -> None:
+        if place.assignment is None or position != place.position:
+            raise RefusedError(409, "This is not the assignment that is next.")
+
+    def _write(self, db: sqlite3.Connection, key: tuple[int, int], answer: Answer | None, slots: set[int]) -> None:
+        """An answer, or None for one that did not come in time."""
+        said: tuple[object, ...] = (None,) * 6
+        if answer is not None:
+            said = (answer.undone, answer.names_shown, answer.input, *answer.window, _digest(answer))
+        db.execute(
+            "UPDATE answers SET answered_at=?, late=?, undone=?, names_shown=?, input=?, window_width=?, "
+            "window_height=?, digest=? WHERE participant=? AND position=?",
+            (self.now(), answer is None, *said, *key),
+        )
+        clicks = {} if answer is None else answer.clicks
+        for slot in sorted(slots):
+            where = (clicks[slot].x, clicks[slot].y, clicks[slot].at_ms) if slot in clicks else (None,) * 3
+            db.execute("INSERT INTO clicks VALUES (?, ?, ?, ?, ?, ?)", (*key, slot, *where))
+
+
+def _hash(token: str) -> str:
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+def _digest(answer: Answer) -> str:
+    return hashlib.sha256(json.dumps(asdict(answer), sort_keys=True).encode()).hexdigest()
