@@ -25,7 +25,7 @@ demo: setup
 test *args: setup
     {{bin}}/pytest -n 2 {{args}}
 
-# run the long tests too
+# run the long tests too; those with a browser need Debian's chromium
 test-slow *args: setup
     {{bin}}/pytest -m 'not cluster' {{args}}
 

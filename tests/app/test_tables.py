@@ -35,6 +35,7 @@ def test_the_sweep_of_a_table_runs_what_its_cells_show(table: PaperTable) -> Non
     cells = [
         {"positions": "ground_truth", **table.select, **row, **column}
         for row, column in itertools.product([*table.rows.values(), *table.controls.values()], table.columns.values())
+        if "people" not in row
     ]
     names = ("scenario", "split", "model", "ablation", "positions")
     shown = {tuple(cell[name] for name in names) for cell in cells}

@@ -35,13 +35,13 @@ def tells(content: Any, end: tuple[float, float]) -> bool:
 
 def test_nothing_of_d_is_said_before_the_answer(site: Site) -> None:
     """Where an object ends that moves is in no response, until the answer of a practice, which shows that it would be found."""
-    browser, experiments, num_moving = site.participant(), site.study.experiments, 0
+    browser, scenes, num_moving = site.participant(), site.study.experiments.scenes, 0
     for _ in range(4):
         place = browser.get("/api/place").json()
         assignment = site.study.sessions.place(browser.cookies["cophy_study"]).assignment
         assert assignment is not None
-        starts = {each["slot"]: each["at"] for each in experiments.objects(assignment.experiment)}
-        ends = experiments.ends(assignment.experiment)
+        starts = {each["slot"]: each["at"] for each in scenes.objects(assignment.experiment)}
+        ends = scenes.ends(assignment.experiment)
         moving = {slot: end for slot, end in ends.items() if np.hypot(*np.subtract(end, starts[slot])) > 1}
         num_moving += len(moving)
         begun = browser.post(f"/api/assignments/{place['position']}/begin", json={}).json()

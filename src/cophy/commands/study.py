@@ -1,9 +1,12 @@
 """The human study of Table 1: python src/study.py scenario=blocktower"""
 
 import importlib.util
+import io
 import logging
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hydra
 from omegaconf import DictConfig
@@ -18,18 +21,24 @@ from cophy.dataset import generation
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+ANSWERS, SIMULATED = "answers.sqlite", "simulated.sqlite"
+LIKE_PEOPLE = "noisy_oracle"  # the simulated participants that the power is of
 register()
 log = logging.getLogger(__name__)
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="study")
 def main(cfg: DictConfig) -> None:
-    if any(importlib.util.find_spec(name) is None for name in ("markdown_it", "starlette", "uvicorn")):
+    if any(importlib.util.find_spec(name) is None for name in ("httpx", "markdown_it", "starlette", "uvicorn")):
         raise CophyError("the study needs packages: pip install -e '.[study]'")
     settings = to_config(cfg, StudyConfig)
     states = _data(settings)
     generation.ensure(states, workers=settings.workers)
-    {"serve": _serve, "export": _export}[settings.action](settings, states)
+    actions = {"serve": _serve, "export": _export, "simulate": _simulate, "power": _power}
+    actions[settings.action](settings, states)
 
 
 def _data(settings: StudyConfig) -> States:
@@ -47,32 +56,86 @@ def _serve(settings: StudyConfig, states: States) -> None:
     from cophy.study.pages.serving import open_study, serve
 
     directory = Path(settings.directory)
-    store = AnswerStore(directory / "answers.sqlite")
+    store = AnswerStore(directory / ANSWERS)
     study = open_study(store, states, settings.split, settings.study, directory, kind=PERSON, workers=settings.workers)
     log.info("study %s on http://%s:%d/; answers: %s", study.sessions.study, settings.host, settings.port, directory)
-    welcome = None if settings.welcome is None else Path(settings.welcome)
-    app = study.app(welcome, settings.limits)
+    app = study.app(_welcome(settings), settings.limits)
     serve(app, settings.host, settings.port, settings.trusted_proxies)
     store.close()
 
 
 def _export(settings: StudyConfig, states: States) -> None:
     """answers.csv with a line per object of every answer; table.csv with the rows of Table 1."""
-    from cophy.study.experiments import StudyExperiments
-    from cophy.study.judging import human_rows, judge, read_clicks
+    from cophy.study.judging import human_rows
 
-    directory = Path(settings.directory)
-    path = directory / "answers.sqlite"
+    path = Path(settings.directory) / ANSWERS
     if not path.exists():
         raise CophyError(f"{path} does not exist: nobody took this study yet")
-    experiments = StudyExperiments(states, settings.split, settings.study)
-    judged = judge(read_clicks(path, experiments.study_id), experiments)
+    judged = _judged(path, settings, states)
     rows = human_rows(judged)
     for name, table in (("answers.csv", judged), ("table.csv", rows)):
-        write_atomically(directory / name, table.to_csv(index=False).encode())
-    log.info(
-        "%s\n%d clicks in answers.csv, these rows in table.csv: %s", rows.round(2).to_string(), len(judged), directory
-    )
+        write_atomically(path.with_name(name), table.to_csv(index=False).encode())
+    said = "%s\n%d clicks in answers.csv, these rows in table.csv: %s"
+    log.info(said, rows.round(2).to_string(), len(judged), path.parent)
+
+
+def _simulate(settings: StudyConfig, states: States) -> None:
+    """Simulated participants take the study; their answers have a file of their own, which is made anew."""
+    from cophy.study.answer_store import AnswerStore
+    from cophy.study.judging import human_rows
+    from cophy.study.pages.serving import open_study
+    from cophy.study.simulation.strategies import STRATEGIES
+    from cophy.study.simulation.visits import take_study
+
+    logging.getLogger("httpx").setLevel(logging.WARNING)  # says every request otherwise
+    directory = Path(settings.directory)
+    path = directory / SIMULATED
+    for old in directory.glob(f"{SIMULATED}*"):
+        old.unlink()
+    store = AnswerStore(path)
+    first, *_ = STRATEGIES
+    study = open_study(store, states, settings.split, settings.study, directory, kind=first, workers=settings.workers)
+    for number, (kind, strategy) in enumerate(STRATEGIES.items()):
+        of_kind = replace(study, sessions=study.sessions.of_kind(kind))
+        app = of_kind.app(_welcome(settings), settings.limits)
+        seed = len(STRATEGIES) * settings.study.seed + number
+        take_study(of_kind, app, strategy, participants=settings.participants, seed=seed)
+    store.close()
+    log.info("%s\nanswers: %s", human_rows(_judged(path, settings, states)).round(2).to_string(), path)
+
+
+def _power(settings: StudyConfig, states: States) -> None:
+    """power.csv and power.png, from the simulated participants that are as wrong as the paper's people."""
+    from cophy.study.simulation.power import differences, draw_power, people_needed, power_curve
+
+    path = Path(settings.directory) / SIMULATED
+    if not path.exists():
+        raise CophyError(f"{path} does not exist; it is made by: study.py simulate scenario={settings.scenario.name}")
+    judged = _judged(path, settings, states)
+    difference = differences(judged[judged["kind"] == LIKE_PEOPLE])
+    if len(difference) < 2:
+        raise CophyError(f"{path}: simulated participants of this study are missing; study.py simulate makes them")
+    curve = power_curve(difference, settings.study.seed)
+    title = f"{settings.scenario.name} {settings.split.name}: {LIKE_PEOPLE}, {len(difference)} simulated participants"
+    picture = io.BytesIO()
+    draw_power(curve, difference, title).savefig(picture, format="png", dpi=110)
+    write_atomically(path.with_name("power.csv"), curve.to_csv(index=False).encode())
+    write_atomically(path.with_name("power.png"), picture.getvalue())
+    said = "%s\n80 %% of studies find the difference with about %.0f people. power.csv, power.png: %s"
+    log.info(said, curve.to_string(index=False), people_needed(curve), path.parent)
+
+
+def _judged(path: Path, settings: StudyConfig, states: States) -> "pd.DataFrame":
+    """The clicks of this study in a file of answers."""
+    from cophy.study.experiments import StudyExperiments
+    from cophy.study.judging import judge, read_clicks
+
+    experiments = StudyExperiments(states, settings.split, settings.study)
+    return judge(read_clicks(path, experiments.study_id), experiments.scenes)
+
+
+def _welcome(settings: StudyConfig) -> Path | None:
+    return None if settings.welcome is None else Path(settings.welcome)
 
 
 def run() -> None:

@@ -4,6 +4,7 @@ pipeline: from outputs/ to tables and figures, which report.py calls.
 choices: what the names of a run stand for, as the report asks for it.
 runs/: what was run.
 tables/: the paper's tables, filled by runs.
+people/: what people clicked in the human study.
 colors: of figures.
 figures: predictions, error over time, tables as bars.
 stability_distribution: share of towers that stand, per value of the confounders.

@@ -13,12 +13,15 @@ from cophy.dataset.store.states import States
 from cophy.report import difficulty_page, figures
 from cophy.report.choices import Choices
 from cophy.report.mse_by_difficulty import mse_by_difficulty
+from cophy.report.people import study_tables
+from cophy.report.people.study_answers import StudyAnswers, read_answers
+from cophy.report.people.study_figures import draw_studies
 from cophy.report.runs.run_overview import kinds, overviews
 from cophy.report.runs.run_table import read_runs, summary
 from cophy.report.stability_distribution import draw_stability_distribution
 from cophy.report.tables import table_formats, terminal_tables
 from cophy.report.tables.filled_tables import FilledTable, fill
-from cophy.report.tables.paper_tables import paper_tables
+from cophy.report.tables.paper_tables import PaperTable, paper_tables
 from cophy.report.tables.shares import stored_errors
 from cophy.report.tables.twin_table import CAPTION, twin_tables
 from cophy.scenario import Scenario
@@ -46,15 +49,21 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
     for number, (title, table) in enumerate(tables.items(), start=1):
         terminal_tables.show(f"What was run: {title}", table, OVERVIEW if number == len(tables) else "")
     _show_failures(runs)
-    filled = [fill(table, runs, stored_errors) for table in paper_tables()]
+    studies = read_answers(outputs, choices)
+    filled = [_filled(table, runs, studies) for table in paper_tables()]
     drawn = _show_tables(filled, show_all=show_all)
     twins = twin_tables(runs)
     _show_twins(runs)
+    answered = study_tables.study_tables(studies)
+    for title, table in answered.items():
+        terminal_tables.show(title, table, study_tables.CAPTION)
     everything = summary(runs)
     if show_all and len(everything):
         shown = [name for name in SHOWN if name in everything]
         terminal_tables.show("Everything that was run", everything[shown].set_index("run"))
-    _write_tables(directory, filled, twins, everything, runs)
+    _write_tables(
+        directory, filled, _sections(twins, CAPTION) + _sections(answered, study_tables.CAPTION), everything, runs
+    )
     finished = runs[runs["error"].isna()] if len(runs) else runs
     if len(finished):
         scenarios = {str(name): choices.scenario(str(name)) for name in finished["scenario"].unique()}
@@ -62,18 +71,26 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
         if has_twins:
             drawn |= _stability_distributions(finished, scenarios, choices)
             drawn |= _write_difficulty(directory, finished, scenarios, choices)
+    drawn |= dict(draw_studies(studies))
     for name, figure in drawn.items():
         figures.write_figure(directory / "figures", name, figure)
     said = "%d runs; tables (md, tex, csv), their captions and %d figures (png, pdf) in\n%s"
     log.info(said, len(runs), len(drawn), directory)
 
 
+def _filled(table: PaperTable, runs: pd.DataFrame, studies: list[StudyAnswers]) -> FilledTable:
+    """A table of the paper, with the people of the studies where it has rows of people."""
+    names = table.select
+    people = study_tables.of_people(studies, names["scenario"], names["split"]) if "split" in names else None
+    return fill(table, runs, stored_errors, people)
+
+
 def _show_failures(runs: pd.DataFrame) -> None:
     """Print why runs failed."""
-    failed = runs[runs["error"].notna()] if len(runs) else runs
-    for directory, error in zip(failed["directory"][:MOST_FAILURES], failed["error"], strict=False):
-        log.info(terminal_tables.notice(f"failed: {directory}: {error}"))
-    if len(failed):
+    failed = runs[runs["error"].notna()].to_dict("records") if len(runs) else []
+    for run in failed[:MOST_FAILURES]:
+        log.info(terminal_tables.notice(f"failed: {run['directory']}: {run['error']}"))
+    if failed:
         log.info(terminal_tables.notice("A failed run is forgotten once it is made again, or its folder is removed."))
 
 
@@ -107,7 +124,7 @@ def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figu
 def _write_tables(
     directory: Path,
     filled: list[FilledTable],
-    twins: Mapping[str, pd.DataFrame],
+    sections: str,
     everything: pd.DataFrame,
     runs: pd.DataFrame,
 ) -> None:
@@ -116,13 +133,13 @@ def _write_tables(
     Args:
         directory: Where they go.
         filled: The paper's tables.
-        twins: Title to table, see `twin_tables`.
+        sections: What follows the paper's tables, Markdown.
         everything: That summary.
         runs: See `read_runs`.
     """
     written = {
         "tables.md": "\n".join(map(table_formats.markdown, filled))
-        + _twin_sections(twins)
+        + sections
         + f"\n## Everything that was run\n\n{everything.to_markdown(index=False)}\n",
         "tables.tex": "\n".join(map(table_formats.latex, filled)),
         "runs.csv": runs.to_csv(index=False),
@@ -144,10 +161,10 @@ def _show_twins(runs: pd.DataFrame) -> None:
         log.info(terminal_tables.notice(CAPTION))
 
 
-def _twin_sections(twins: Mapping[str, pd.DataFrame]) -> str:
-    """The same as sections of Markdown."""
-    sections = [f"\n## {title}\n\n{table.to_markdown()}\n" for title, table in twins.items()]
-    return "".join([*sections, f"\n{CAPTION}\n"]) if sections else ""
+def _sections(tables: Mapping[str, pd.DataFrame], caption: str) -> str:
+    """Tables by their titles as sections of Markdown."""
+    sections = [f"\n## {title}\n\n{table.to_markdown()}\n" for title, table in tables.items()]
+    return "".join([*sections, f"\n{caption}\n"]) if sections else ""
 
 
 def _write_difficulty(

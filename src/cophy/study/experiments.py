@@ -1,7 +1,6 @@
-"""The experiments of a study: what a browser is told of them, and, for the server alone, where their objects end."""
+"""The experiments of a study: which are shown, to whom, and how the study is called."""
 
 import json
-from typing import Any
 
 import numpy as np
 
@@ -9,6 +8,7 @@ from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 from cophy.study.plan import Assignment, assignments_of, chosen_pairs, practice
+from cophy.study.scenes import Scenes
 from cophy.study.study_settings import SETTINGS, StudySettings
 
 
@@ -18,6 +18,7 @@ class StudyExperiments:
     def __init__(self, states: States, split: Split, settings: StudySettings) -> None:
         self.states, self.settings, self.scenario = states, settings, states.spec.scenario
         self.arrays = states.load()
+        self.scenes = Scenes(self.scenario, self.arrays, settings.resolution)
         shown = self._pairs(split.test.select(self.arrays), "test")
         cells = self.arrays["cell"].reshape(-1, 2)
         self.pairs = chosen_pairs(shown, cells[shown], settings)
@@ -60,27 +61,3 @@ class StudyExperiments:
     def plan(self, number: int) -> list[Assignment]:
         """What participant `number` is asked, in order."""
         return assignments_of(number, self.pairs, self.kinds, self.settings)
-
-    def slots(self, experiment: int) -> set[int]:
-        """Of the objects in C."""
-        return set(np.flatnonzero(self.arrays["presence"][experiment, 1]).tolist())
-
-    def objects(self, experiment: int) -> list[dict[str, Any]]:
-        """Of C, the lowest first: slot, name and colour, and where the object is in the picture of C."""
-        start = self._in_picture(experiment, 0)
-        height = self.arrays["states"][experiment, 1, 0, :, 2]
-        names = list(self.scenario.colors.items())
-        return [
-            {"slot": slot, "name": names[slot][0], "color": names[slot][1], "at": start[slot].round(1).tolist()}
-            for slot in sorted(self.slots(experiment), key=lambda slot: (height[slot], slot))
-        ]
-
-    def ends(self, experiment: int) -> dict[int, tuple[float, float]]:
-        """Where each object of C is in the picture at the end of D, pixels. Never sent before an answer, but in practice."""
-        end = self._in_picture(experiment, -1)
-        return {slot: (float(end[slot][0]), float(end[slot][1])) for slot in sorted(self.slots(experiment))}
-
-    def _in_picture(self, experiment: int, frame: int) -> np.ndarray:
-        """(slot, 2) pixels at a frame of CD."""
-        states = self.arrays["states"][experiment, 1, :: self.scenario.clock.states_per_frame]
-        return self.scenario.camera.project(states[frame, :, :3], self.settings.resolution)

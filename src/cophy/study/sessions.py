@@ -7,6 +7,7 @@ import secrets
 import sqlite3
 import time
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
@@ -58,6 +59,12 @@ class Sessions:
         self._plan = plan
         with store.transaction() as db:
             db.execute("INSERT OR IGNORE INTO studies VALUES (?, ?)", (study, description))
+
+    def of_kind(self, kind: str) -> "Sessions":
+        """The same study for another kind of participants."""
+        other = copy(self)
+        other.kind = kind
+        return other
 
     @property
     def num_positions(self) -> int:

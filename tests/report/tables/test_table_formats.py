@@ -15,7 +15,7 @@ TABLES = {table.id: table for table in paper_tables()}
 def test_every_format_shows_the_number(table: str) -> None:
     choice = {
         **TABLES[table].select,
-        **next(iter(TABLES[table].rows.values())),
+        **next(row for row in TABLES[table].rows.values() if "people" not in row),
         **next(iter(TABLES[table].columns.values())),
     }
     metric = choice.pop("metric")

@@ -12,6 +12,7 @@ from cophy.report.tables.shares import ErrorsOf, share_interval
 
 MISSING, FAILED = "—", "failed"
 NUMBERS = ("ours", "sd", "low", "high")
+PEOPLE = "people"  # key of a row that people fill
 
 
 @dataclass(frozen=True)
@@ -77,20 +78,26 @@ def _share_text(value: dict[Any, Any]) -> str:
     return f"{value['share']:.0%}" + (f" [{value['share_low']:.0%}, {value['share_high']:.0%}]" if known else "")
 
 
-def fill(table: PaperTable, runs: pd.DataFrame, errors_of: ErrorsOf | None = None) -> FilledTable:
-    """Put runs into a table: mean over seeds, and how far it can be trusted.
+def fill(
+    table: PaperTable, runs: pd.DataFrame, errors_of: ErrorsOf | None = None, people: pd.DataFrame | None = None
+) -> FilledTable:
+    """Put runs into a table: mean over seeds, and how far it can be trusted. People fill the rows that ask for them.
 
     Args:
         table: Of the paper.
         runs: See `read_runs`.
         errors_of: Gives the errors of a run, of which the intervals of shares are made; None for no such intervals.
+        people: See `of_people`; None where nobody took the study.
     """
     values, used = [], []
     for (row, in_row), printed in zip(table.rows.items(), table.paper, strict=True):
         for (column, in_column), paper in zip(table.columns.items(), printed, strict=True):
             choice = {"positions": "ground_truth", **table.select, **in_row, **in_column}
             metric = choice.pop("metric")
-            numbers, found = _cell(runs, choice, metric, table.scale)
+            if PEOPLE in in_row:
+                numbers, found = _people(people, in_row[PEOPLE], metric), runs.iloc[:0]
+            else:
+                numbers, found = _cell(runs, choice, metric, table.scale)
             used.append(found)
             values.append({"row": row, "column": column, "metric": metric, **numbers, "paper": paper})
     frame = pd.DataFrame(values)
@@ -136,6 +143,14 @@ def _cell(runs: pd.DataFrame, choice: dict[str, str], metric: str, scale: float)
     return {**{name: scale * value for name, value in numbers}, "seeds": len(found), "failed": failed}, found
 
 
+def _people(people: pd.DataFrame | None, setting: str, metric: str) -> dict[str, Any]:
+    """The numbers of a cell of people: mean and interval over answers; one study is one seed."""
+    if people is None or (found := people[(people[PEOPLE] == setting) & (people["metric"] == metric)]).empty:
+        return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": 0}
+    (line,) = found.to_dict("records")
+    return {**{name: float(line[name]) for name in NUMBERS}, "seeds": 1, "failed": 0}
+
+
 def _share(table: PaperTable, values: pd.DataFrame) -> "pd.Series[float]":
     """Of what AB can add to the best that is possible without it; negative for what is worse than that."""
     if not table.oracles:
@@ -144,7 +159,9 @@ def _share(table: PaperTable, values: pd.DataFrame) -> "pd.Series[float]":
     without, with_ab = (
         values[other].map(values[values[method] == oracle].set_index(other)["ours"]) for oracle in table.ends
     )
-    return (without - values["ours"]) / (without - with_ab)
+    share = (without - values["ours"]) / (without - with_ab)
+    asked_people = [label for label, keys in table.rows.items() if PEOPLE in keys]  # on a part of the test split
+    return share.where(~values["row"].isin(asked_people))
 
 
 def _share_intervals(

@@ -16,7 +16,7 @@ class PaperTable:
         id: Name of its files, and of its sweep in conf/table/.
         title: What it shows.
         select: Names of the runs that fill it, and the metric that is shown.
-        rows: Label -> what the row adds to `select`.
+        rows: Label -> what the row adds to `select`; of a row that people fill, people: the setting.
         columns: Label -> what the column adds.
         paper: The paper's numbers, rows × columns.
         methods: "rows", "columns", or None where nothing competes.
@@ -71,10 +71,12 @@ def published_mse(names: Mapping[str, Any]) -> float | None:
 
 
 def _derendered(table: PaperTable) -> PaperTable:
-    """The same methods on positions estimated from pictures; oracles see true ones only."""
+    """The same methods on positions estimated from pictures; oracles see true ones only, people see pictures in any case."""
     rows, columns = (
-        {name: keys for name, keys in axis.items() if name not in table.oracles} for axis in (table.rows, table.columns)
+        {name: keys for name, keys in axis.items() if name not in table.oracles and "people" not in keys}
+        for axis in (table.rows, table.columns)
     )
+    printed = [numbers for keys, numbers in zip(table.rows.values(), table.paper, strict=True) if "people" not in keys]
     return replace(
         table,
         id=f"{table.id}_derendered",
@@ -82,7 +84,8 @@ def _derendered(table: PaperTable) -> PaperTable:
         select={**table.select, "positions": "train_ground_truth_test_derendered"},
         rows=rows,
         columns=columns,
-        paper=[numbers[: len(columns)] for numbers in table.paper[: len(rows)]],  # oracles come last
+        paper=[numbers[: len(columns)] for numbers in printed[: len(rows)]],  # oracles come last
+        bounds=[name for name in table.bounds if name in rows or name in columns],
         oracles=[],
         also_derendered=False,
     )

@@ -21,12 +21,24 @@ PICTURE, CLIP = "c.png", "ab.webm"
 EXPERIMENT_ARRAYS = ("states", "presence", "shape", "background_seed")
 
 
+def pictures_of(directory: Path, scenario: str, data: str, resolution: int) -> Path:
+    """Where a study keeps its pictures.
+
+    Args:
+        directory: Of the study.
+        scenario: Its name.
+        data: Id of the dataset.
+        resolution: Pixels.
+    """
+    return directory / "pictures" / f"{scenario}-{data}-{resolution}"
+
+
 class Clips:
     """A folder with two files per experiment. Only C's first frame and AB are ever drawn, never D."""
 
     def __init__(self, directory: Path, experiments: StudyExperiments) -> None:
-        name = f"{experiments.scenario.name}-{experiments.states.id}-{experiments.settings.resolution}"
-        self.directory, self._experiments = directory / "pictures" / name, experiments
+        of = experiments.scenario.name, experiments.states.id, experiments.settings.resolution
+        self.directory, self._experiments = pictures_of(directory, *of), experiments
 
     def path(self, experiment: int, what: str) -> Path:
         """Of the PICTURE or the CLIP of an experiment."""

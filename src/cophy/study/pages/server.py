@@ -103,7 +103,7 @@ class _Pages:
         body, position = await json_of(request), request.path_params["position"]
         store: Callable[[], Any] = partial(self._sessions.answer, request.cookies.get(COOKIE), position, body)
         assignment, is_practice = await run_sync(store)
-        ends = self._experiments.ends(assignment.experiment) if is_practice else None
+        ends = self._experiments.scenes.ends(assignment.experiment) if is_practice else None
         return JSONResponse({"stored": True, **({} if ends is None else {"ends": ends})})
 
     async def media(self, request: Request) -> Response:
@@ -134,7 +134,7 @@ class _Pages:
             "seconds": settings.seconds,
             "remaining_s": place.remaining_s,
             "resolution": settings.resolution,
-            "objects": self._experiments.objects(place.assignment.experiment),
+            "objects": self._experiments.scenes.objects(place.assignment.experiment),
             "picture": f"/media/{place.position}/picture",
             "clip": f"/media/{place.position}/clip" if has_clip else None,
         }

@@ -65,7 +65,7 @@ def open_study(
         description=experiments.description,
         practice=experiments.practice,
         plan=experiments.plan,
-        slots_of=experiments.slots,
+        slots_of=experiments.scenes.slots,
     )
     return OpenStudy(sessions, experiments, clips)
 

@@ -83,6 +83,7 @@ export class PlaceObjectsPlugin {
   // AB once, before C is seen: so C is in sight equally long in both settings.
   async #watch() {
     this.part(".say").textContent = "Watch the first scene.";
+    this.part(".task").classList.add("watching");
     const video = this.part("video");
     video.src = this.jsPsych.pluginAPI.getVideoBuffer(this.task.clip);
     const ended = new Promise((done) => video.addEventListener("ended", done, { once: true }));
@@ -92,6 +93,7 @@ export class PlaceObjectsPlugin {
     }
     video.loop = true;
     video.play();
+    this.part(".task").classList.remove("watching");
   }
 
   async #run() {

@@ -1,0 +1,86 @@
+"""Files of answers under outputs/study, judged with the data that they are on."""
+
+import json
+import logging
+import sqlite3
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from cophy.errors import CophyError
+from cophy.report.choices import Choices
+from cophy.report.tables.terminal_tables import notice
+from cophy.study.judging import human_rows, judge, read_clicks
+from cophy.study.scenes import Scenes
+
+FILES = ("answers.sqlite", "simulated.sqlite")
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class StudyAnswers:
+    """What was answered in one study.
+
+    Attributes:
+        scenario: Its name.
+        split: Name of the split whose test half was shown.
+        data: Id of the dataset.
+        resolution: Of the pictures, pixels.
+        directory: Of the study.
+        judged: See `judge`.
+        rows: See `human_rows`.
+    """
+
+    scenario: str
+    split: str
+    data: str
+    resolution: int
+    directory: Path
+    judged: pd.DataFrame
+    rows: pd.DataFrame
+
+
+def read_answers(outputs: Path, choices: Choices) -> list[StudyAnswers]:
+    """All studies below a folder. What cannot be read, or whose data are not there, is named and left out.
+
+    Args:
+        outputs: Studies are in its folder `study`, one folder per scenario.
+        choices: Where the data are.
+    """
+    found = []
+    for path in sorted(path for name in FILES for path in (outputs / "study").glob(f"*/{name}")):
+        try:
+            for study, description in _studies(path):
+                found += _judged(path, study, description, choices)
+        except (sqlite3.Error, ValueError, TypeError, KeyError, AttributeError, CophyError) as error:
+            said = str(error) if isinstance(error, CophyError) else "no file of answers that study.py wrote"
+            log.info(notice(f"{path} is left out: {said}"))
+    return found
+
+
+def _studies(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Name and description of every study in a file, which is only read."""
+    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+    try:
+        rows = connection.execute("SELECT study, description FROM studies ORDER BY study").fetchall()
+    finally:
+        connection.close()
+    for study, description in rows:
+        yield study, json.loads(description)
+
+
+def _judged(path: Path, study: str, said: dict[str, Any], choices: Choices) -> list[StudyAnswers]:
+    """One, or none where nobody answered."""
+    clicks = read_clicks(path, study)
+    if clicks.empty:
+        return []
+    states = choices.dataset(said["scenario"], int(said["num_objects"]), said["size"])
+    if states.id != said["data"] or not states.is_finished():
+        raise CophyError(f"its data, {said['scenario']}/{said['data']}, are not there")
+    scenes = Scenes(states.spec.scenario, states.load(), int(said["resolution"]))
+    judged = judge(clicks, scenes)
+    keys = said["scenario"], said["split"], said["data"], int(said["resolution"])
+    return [StudyAnswers(*keys, path.parent, judged, human_rows(judged))]

@@ -1,0 +1,138 @@
+"""People of the study fill Table 1; simulated participants never do; strange files are named and left out."""
+
+import json
+import logging
+import sqlite3
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from cophy.app.report_choices import ComposedChoices
+from cophy.dataset.store.states import States
+from cophy.report.people.study_answers import StudyAnswers, read_answers
+from cophy.report.people.study_figures import draw_studies
+from cophy.report.people.study_tables import of_people, study_tables
+from cophy.report.tables.filled_tables import fill
+from cophy.report.tables.paper_tables import paper_tables
+from cophy.study.answer_store import SCHEMA, AnswerStore
+from cophy.study.judging import human_rows
+from tests.conftest import tiny_spec
+
+MEASURES = {"rank_1": 10.0, "rank_2": 20.0, "rank_3": 60.0, "mean": 30.0}
+
+
+def rows(kind: str, shift: float = 0.0) -> pd.DataFrame:
+    """As `human_rows` gives them."""
+    lines = [
+        {
+            **{"kind": kind, "setting": setting, "measure": measure, "mean": mean + shift + extra, "sigma": 5.0},
+            **{"low_people": 0.0, "high_people": 99.0, "low_pairs": 1.0, "high_pairs": 98.0},
+            **{"participants": 7, "answers": 140, "missing": 0.0},
+        }
+        for setting, extra in (("cf", 0.0), ("non_cf", 4.0))
+        for measure, mean in MEASURES.items()
+    ]
+    return pd.DataFrame(lines)
+
+
+def study(rows: pd.DataFrame) -> StudyAnswers:
+    return StudyAnswers("blocktower", "3to3", "3-tiny-0", 448, Path(), pd.DataFrame(), rows)
+
+
+def test_people_fill_table_1_beside_the_papers() -> None:
+    table = paper_tables()[0]
+    people = of_people([study(pd.concat([rows("person"), rows("stays", -9.0)]))], "blocktower", "3to3")
+    cells = fill(table, pd.DataFrame(), people=people).cells()
+    assert cells.loc["Human", "Top"] == "60.00 [0.00, 99.00] / 99.98"
+    assert cells.loc["Human", "Mean"] == "30.00 [0.00, 99.00] / 54.54"
+    assert cells.loc["Human, no AB", "Bottom"] == "14.00 [0.00, 99.00] / 13.67"
+
+
+def test_simulated_participants_fill_a_table_of_their_own() -> None:
+    only_simulated = [study(rows("stays"))]
+    assert of_people(only_simulated, "blocktower", "3to3").empty
+    cells = fill(paper_tables()[0], pd.DataFrame(), people=of_people(only_simulated, "blocktower", "3to3")).cells()
+    assert cells.loc["Human", "Mean"] == "— / 54.54"
+    ((title, table),) = study_tables(only_simulated).items()
+    assert "no people" in title
+    assert table.index.tolist() == ["stays, with AB", "stays, without AB"]
+
+
+def test_people_do_not_compete_and_have_no_share() -> None:
+    people = of_people([study(rows("person"))], "blocktower", "3to3")
+    values = fill(paper_tables()[0], pd.DataFrame(), people=people).values
+    human = values[values["row"] == "Human"]
+    assert not human["best"].any()
+    assert human["share"].isna().all()
+
+
+def write_answers(path: Path, description: str, *, experiment: int = 2) -> None:
+    """One participant, who clicked (10, 20) for slot 0 of an experiment."""
+    path.parent.mkdir(parents=True)
+    AnswerStore(path).close()
+    with sqlite3.connect(path) as db:
+        db.execute("INSERT INTO studies VALUES ('s', ?)", (description,))
+        db.execute("INSERT INTO participants VALUES (1, 's', 'person', 0, 'h', NULL, 'c', 1.0, 2.0)")
+        db.execute(
+            "INSERT INTO answers (participant, position, practice, experiment, setting, opened_at, answered_at) "
+            "VALUES (1, 2, 0, ?, 'cf', 1.0, 2.0)",
+            (experiment,),
+        )
+        db.execute("INSERT INTO clicks VALUES (1, 2, 0, 10.0, 20.0, 500)")
+
+
+def description(data: str) -> str:
+    said = {"scenario": "blocktower", "split": "3to3", "num_objects": 3, "size": "tiny", "data": data}
+    return json.dumps({**said, "resolution": 448, "seconds": 10})
+
+
+@pytest.mark.parametrize(
+    ("data", "experiment", "reason"),
+    [
+        ("3-tiny-ffff", 2, "are not there"),
+        ("../../etc", 2, "are not there"),
+        (None, 99_999, "the data do not have"),
+        (None, -1, "the data do not have"),
+    ],
+)
+def test_answers_without_their_data_are_named(
+    data: str | None, experiment: int, reason: str, tiny_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    states = States(tiny_spec("blocktower"), tiny_data)
+    write_answers(tmp_path / "study" / "x" / "answers.sqlite", description(data or states.id), experiment=experiment)
+    with caplog.at_level(logging.INFO):
+        assert read_answers(tmp_path, ComposedChoices("generated", tiny_data)) == []
+    assert reason in " ".join(caplog.text.split())
+
+
+@pytest.mark.parametrize("content", [b"", b"no database" * 100, SCHEMA.encode()])
+def test_strange_files_are_named(
+    content: bytes, tiny_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "study" / "x" / "answers.sqlite"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(content)
+    with caplog.at_level(logging.INFO):
+        assert read_answers(tmp_path, ComposedChoices("generated", tiny_data)) == []
+    assert "left out" in caplog.text
+
+
+@pytest.mark.parametrize("said", ["[]", "{", "null", '{"scenario": 3}', '{"scenario": "nothing"}'])
+def test_strange_descriptions_are_named(
+    said: str, tiny_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_answers(tmp_path / "study" / "x" / "answers.sqlite", said)
+    with caplog.at_level(logging.INFO):
+        assert read_answers(tmp_path, ComposedChoices("generated", tiny_data)) == []
+    assert "left out" in caplog.text
+
+
+def test_answers_are_judged_and_drawn(tiny_data: Path, tmp_path: Path) -> None:
+    states = States(tiny_spec("blocktower"), tiny_data)
+    write_answers(tmp_path / "study" / "x" / "answers.sqlite", description(states.id))
+    (found,) = read_answers(tmp_path, ComposedChoices("generated", tiny_data))
+    pd.testing.assert_frame_equal(found.rows, human_rows(found.judged))
+    ((name, figure),) = draw_studies([found])
+    assert name == "study-blocktower-3to3-person-cf"
+    assert len(figure.axes) == 2  # twins, side by side
