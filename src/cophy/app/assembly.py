@@ -25,7 +25,7 @@ from cophy.training.runs.execution import Plan, carry_out
 from cophy.training.runs.identity import Run
 from cophy.training.runs.oracle import carry_out_oracle
 from cophy.training.runs.stages import Stage, derendering_stage, prediction_stage
-from cophy.training.runs.trainer import with_epochs
+from cophy.training.runs.trainer import check_arguments, with_epochs
 from cophy.training.trained.checkpoints import Origin
 from cophy.training.trained.network import build_network
 from cophy.training.trained.resuming import check_resumable
@@ -52,6 +52,7 @@ def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> fl
     if isinstance(settings.model, OracleConfig):
         _carry_out_oracle(settings, settings.model, run, started)
         return math.nan
+    check_arguments(plain["trainer"])
     resume = None if settings.ckpt is None else Path(settings.ckpt)
     stage, origin = _stage(settings, plain, run, resume)
     trainer = with_epochs(plain["trainer"], stage.epochs_factor)

@@ -8,11 +8,14 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, MissingConfigException
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -43,6 +46,24 @@ class NoteSweep(Callback):
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Remember where the runs of this sweep go."""
         _sweeps.append((Path(config.hydra.sweep.dir), time.time()))
+
+
+def in_one_line(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
+    """A Hydra task whose mendable errors end the command at once; Hydra would say what it was told before each.
+
+    A sweep goes on with its other runs, and `run` names those that failed.
+    """
+
+    @wraps(task)
+    def ends(cfg: DictConfig) -> Any:
+        try:
+            return task(cfg)
+        except Exception as error:
+            if HydraConfig.get().mode is RunMode.MULTIRUN or not is_mendable(error):
+                raise
+            sys.exit(f"{sys.argv[0]}: {explain(error)}")
+
+    return ends
 
 
 def run(main: Callable[[], Any]) -> None:

@@ -1,5 +1,6 @@
 """Configurations as the command line composes them, typed or not."""
 
+import math
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,6 +28,7 @@ def to_config(config: DictConfig, schema: type[Config]) -> Config:
         CophyError: A value is out of its range or not resolved, or a key does not exist.
     """
     _check_keys(config, "")
+    _check_finite(OmegaConf.to_container(config, resolve=False), "")
     try:
         built = OmegaConf.to_object(config)
     except (ValueError, TypeError) as error:
@@ -45,6 +47,16 @@ def _check_keys(config: DictConfig, path: str) -> None:
             raise CophyError(f"{path}{key}: there is no such key; --help lists them")
         if not OmegaConf.is_missing(config, key) and isinstance(child := config[key], DictConfig):
             _check_keys(child, f"{path}{key}.")
+
+
+def _check_finite(value: Any, path: str) -> None:
+    """Refuse NaN and infinite numbers, of which no key makes sense."""
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, inner in items:
+            _check_finite(inner, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise CophyError(f"{path}={value} must be a finite number")
 
 
 def to_plain(config: DictConfig) -> dict[str, Any]:

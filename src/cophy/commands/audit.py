@@ -16,6 +16,7 @@ register()
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="audit")
+@cli.in_one_line
 def main(cfg: DictConfig) -> None:
     from cophy.report.audit_report import report_generated, report_released  # matplotlib takes a second to import
 

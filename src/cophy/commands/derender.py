@@ -15,6 +15,7 @@ register()
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="derender")
+@cli.in_one_line
 def main(cfg: DictConfig) -> None:
     from cophy.training.trained.derendering import derender  # torch takes seconds to import; --help does not need it
     from cophy.training.trained.trained_derenderer import TrainedDerenderer, find_derenderer

@@ -16,6 +16,7 @@ register()
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="export")
+@cli.in_one_line
 def main(cfg: DictConfig) -> None:
     from cophy.dataset.released.export.exporter import export
 

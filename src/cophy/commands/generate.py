@@ -19,6 +19,7 @@ register()
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="generate")
+@cli.in_one_line
 def main(cfg: DictConfig) -> None:
     settings = to_config(cfg, GenerateConfig)
     for states in generated_by(settings):

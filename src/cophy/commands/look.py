@@ -20,6 +20,7 @@ log = logging.getLogger(__name__)
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="look")
+@cli.in_one_line
 def main(cfg: DictConfig) -> None:
     from cophy.drawing.modalities import write_modalities
     from cophy.drawing.overview import write_contact_sheet, write_experiment, write_frames

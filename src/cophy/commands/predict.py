@@ -16,6 +16,7 @@ log = logging.getLogger(__name__)
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="predict")
+@cli.in_one_line
 def main(cfg: DictConfig) -> None:
     from cophy.drawing.counterfactual_files import write_counterfactual
     from cophy.drawing.picture_files import read_frames

@@ -14,6 +14,7 @@ register()
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="report")
+@cli.in_one_line
 def main(cfg: DictConfig) -> None:
     from cophy.app.report_choices import ComposedChoices
     from cophy.report.pipeline import write_report  # matplotlib takes a second to import; --help does not need it

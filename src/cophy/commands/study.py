@@ -31,6 +31,7 @@ log = logging.getLogger(__name__)
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="study")
+@cli.in_one_line
 def main(cfg: DictConfig) -> None:
     if any(importlib.util.find_spec(name) is None for name in ("httpx", "markdown_it", "starlette", "uvicorn")):
         raise CophyError("the study needs packages: pip install -e '.[study]'")

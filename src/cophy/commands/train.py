@@ -19,6 +19,7 @@ log = logging.getLogger(__name__)
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
+@cli.in_one_line
 def main(cfg: DictConfig) -> float:
     from cophy.app.assembly import run_configured  # Lightning takes seconds to import; --help does not need it
     from cophy.app.run_results import show_results

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from cophy.errors import CophyError
+from cophy.errors import CophyError, check_name
 from cophy.scenario import Scenario
 
 FORMAT_VERSION = 3  # raise it when the arrays of a shard change, or the experiments of every scenario do
@@ -21,6 +21,7 @@ class Size:
     num_experiments: dict[str, dict[str, int]]
 
     def __post_init__(self) -> None:
+        check_name("size.name", self.name)
         counts = [count for per_scenario in self.num_experiments.values() for count in per_scenario.values()]
         if any(count < 2 or count % 2 for count in [self.experiments_per_shard, *counts]):
             raise ValueError(f"size {self.name}: twins come in pairs, so all counts are even and at least 2")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cophy.errors import CophyError
+from cophy.errors import CophyError, check_name
 from cophy.scenario import Scenario, Shape
 
 SPLITS = ("train", "val", "test")
@@ -58,6 +58,7 @@ class Split:
     epochs_factor: int = 1
 
     def __post_init__(self) -> None:
+        check_name("split.name", self.name)
         if self.epochs_factor < 1:
             raise ValueError(f"split: epochs_factor={self.epochs_factor} must be at least 1")
 

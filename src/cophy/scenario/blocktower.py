@@ -56,6 +56,12 @@ class Blocktower(Scenario):
         return square()
 
     @property
+    def farthest_m(self) -> float:
+        return (
+            2 * max(self.num_objects) * self.block_size
+        )  # a fallen block lies not farther than a tower is high, or little
+
+    @property
     def object_size_m(self) -> float:
         return self.block_size
 

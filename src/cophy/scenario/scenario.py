@@ -1,11 +1,12 @@
 """What every scenario has: the fields of the files in conf/scenario, and how a twin pair is made."""
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
-from cophy.errors import CophyError
+from cophy.errors import CophyError, check_name
 from cophy.scenario.confounders import ConfounderGrid
 from cophy.scenario.experiment import Experiment, TwinPair, with_confounders
 from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
@@ -49,6 +50,12 @@ class Scenario(ABC):
     min_difference: float  # outcomes are significantly different from this trajectory distance on
 
     def __post_init__(self) -> None:
+        check_name("scenario.name", self.name)
+        if self.farthest_m is not None and self.min_difference > self.farthest_m:
+            raise ValueError(
+                f"scenario.min_difference={self.min_difference:g} m: in this scenario nothing moves farther than "
+                f"{self.farthest_m:.3g} m"
+            )
         unknown = set(self.do_operations) - set(self.known_do_operations())
         if unknown or not self.do_operations:
             raise ValueError(
@@ -118,6 +125,11 @@ class Scenario(ABC):
     def shape_from_positions(self) -> Shape:
         """What to draw where only positions are known, and neither shape nor rotation."""
         return Shape.SPHERE
+
+    @property
+    def farthest_m(self) -> float | None:
+        """The largest distance between two outcomes of an object, metres; None where nothing is known of it."""
+        return None if self.sight_extent_m is None else 2 * math.sqrt(2) * self.sight_extent_m
 
     @property
     def sight_extent_m(self) -> float | None:

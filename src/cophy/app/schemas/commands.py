@@ -9,12 +9,16 @@ from typing import Any
 from omegaconf import MISSING
 
 from cophy.app.schemas.models import OracleConfig
+from cophy.app.schemas.trainer_arguments import TrainerConfig
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
-from cophy.scenario import Scenario
+from cophy.scenario import Balls, Blocktower, Collision, Scenario
 from cophy.scenario.rendering.frames import RenderSettings
 from cophy.training.settings import Training
+
+MAX_SEED = 2**32 - 1  # of NumPy's global generator, which Lightning seeds
+MAX_THREADS = 1024
 
 # positions= -> the splits of which a predictor sees what a de-renderer estimates; of the others it sees the truth
 ESTIMATED: dict[str, tuple[str, ...]] = {
@@ -22,6 +26,9 @@ ESTIMATED: dict[str, tuple[str, ...]] = {
     "derendered": ("train", "val", "test"),
     "train_ground_truth_test_derendered": ("test",),  # the paper's headline setting
 }
+
+
+SCENARIOS: dict[str, type[Scenario]] = {"blocktower": Blocktower, "balls": Balls, "collision": Collision}
 
 
 @dataclass
@@ -37,6 +44,10 @@ class DataConfig:
 
     def __post_init__(self) -> None:
         _at_least(0, data_seed=self.data_seed)
+        if not self.data_dir:
+            raise ValueError("data_dir= is empty: it names the folder where data lie")
+        if not isinstance(self.scenario, SCENARIOS.get(self.scenario.name, Scenario)):
+            raise ValueError(f"scenario.name={self.scenario.name} is the name of another scenario")
 
 
 @dataclass
@@ -133,34 +144,6 @@ class DerenderConfig(MakeDataConfig):
 
 
 @dataclass
-class TrainerConfig:
-    """Arguments of lightning.Trainer that a run may set."""
-
-    max_epochs: int = MISSING
-    accelerator: str = MISSING
-    devices: Any = MISSING  # a number, "auto" or a list of numbers; such unions OmegaConf 2.3 cannot merge
-    precision: str = MISSING
-    deterministic: bool = MISSING
-    gradient_clip_val: float | None = None
-    max_time: str | None = None
-    check_val_every_n_epoch: int = 1
-    limit_train_batches: Any = None  # a number of batches, or a share; likewise
-    limit_val_batches: Any = None  # a number of batches, or a share
-    limit_test_batches: Any = None  # a number of batches, or a share
-    fast_dev_run: bool = False
-    log_every_n_steps: int = 50
-    enable_progress_bar: bool = True
-    enable_model_summary: bool = True
-    num_nodes: int = 1
-    strategy: str = "auto"
-    profiler: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.max_epochs == 0 or self.max_epochs < -1:
-            raise ValueError(f"trainer.max_epochs={self.max_epochs} must be positive, or -1 for no limit")
-
-
-@dataclass
 class TrainConfig(RenderDataConfig):
     """train.py. seed: of the training. render, num_images, num_objects: what a de-renderer is trained on.
 
@@ -186,6 +169,8 @@ class TrainConfig(RenderDataConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         _at_least(0, seed=self.seed)
+        _at_most(MAX_SEED, seed=self.seed)
+        _at_most(MAX_THREADS, threads=self.threads)
         _at_least(1, threads=self.threads, figures_every_n_epochs=self.figures_every_n_epochs)
         _at_least(10, num_images=self.num_images)
         if not self.optimized_metric.startswith("val/"):
@@ -229,3 +214,9 @@ def _at_least(smallest: int, **values: int) -> None:
     for key, value in values.items():
         if value < smallest:
             raise ValueError(f"{key}={value} must be at least {smallest}")
+
+
+def _at_most(largest: int, **values: int) -> None:
+    for key, value in values.items():
+        if value > largest:
+            raise ValueError(f"{key}={value} must be at most {largest}")

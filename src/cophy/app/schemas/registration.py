@@ -6,6 +6,7 @@ They live in groups of their own (`schema/...`), so that `glob(*)` over scenario
 from hydra.core.config_store import ConfigStore
 
 from cophy.app.schemas.commands import (
+    SCENARIOS,
     AuditConfig,
     DerenderConfig,
     ExportConfig,
@@ -28,10 +29,8 @@ from cophy.app.schemas.study_command import StudyConfig
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
-from cophy.scenario import Balls, Blocktower, Collision, Scenario
 from cophy.scenario.rendering.frames import RenderSettings
 
-SCENARIOS: dict[str, type[Scenario]] = {"blocktower": Blocktower, "balls": Balls, "collision": Collision}
 SCHEMAS: dict[str, dict[str, type]] = {
     "root": {
         "train": TrainConfig,

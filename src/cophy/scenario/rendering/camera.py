@@ -31,6 +31,12 @@ class Camera:
     target: list[float]
     field_of_view_deg: float
 
+    def __post_init__(self) -> None:
+        if len(self.eye) != 3 or len(self.target) != 3 or list(self.eye) == list(self.target):
+            raise ValueError("camera: eye and target are two points, x, y and z each")
+        if not 0 < self.field_of_view_deg < 180:
+            raise ValueError(f"camera.field_of_view_deg={self.field_of_view_deg} must be between 0 and 180")
+
     def project(self, points: np.ndarray, resolution: int) -> np.ndarray:
         """(..., 3) metres -> (..., 2) pixels in a square picture: x to the right, y down, from its upper left corner."""
         forward = _unit(np.subtract(self.target, self.eye))

@@ -28,6 +28,8 @@ class RenderSettings:
         unknown = set(self.modalities) - set(MODALITIES)
         if unknown:
             raise ValueError(f"render.modalities: {sorted(unknown)} not among {list(MODALITIES)}")
+        if len(set(self.modalities)) < len(self.modalities):
+            raise ValueError(f"render.modalities: {self.modalities} names one twice")
         if not 16 <= self.resolution <= 4096:
             raise ValueError(f"render.resolution={self.resolution} must be between 16 and 4096 pixels")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import lightning as L
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.trainer.states import TrainerFn
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
@@ -160,6 +161,8 @@ def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: P
     _log_names(trainer, run, plan, origin)
     try:
         trainer.fit(stage.module, stage.data, ckpt_path=resume, weights_only=True)
+    except MisconfigurationException as error:
+        raise CophyError(f"trainer: {error}") from error
     except SIGTERMException as error:
         raise SystemExit(128 + signal.SIGTERM) from error  # as of a process that it ends
     trained = Trained(round(watched.stopwatch.seconds, 1), watched.best_epoch.metrics, resumed)

@@ -9,6 +9,7 @@ from typing import Any
 import lightning as L
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint, ModelSummary
 from lightning.pytorch.loggers import Logger
 
@@ -123,7 +124,7 @@ def make_trainer(
         ResumeHint(run.checkpoints / "last.ckpt"),
         *([Size()] if arguments["enable_model_summary"] else []),
     ]
-    try:
+    with _explained():
         return L.Trainer(
             logger=loggers,
             callbacks=callbacks,
@@ -132,7 +133,32 @@ def make_trainer(
             use_distributed_sampler=False,  # the datamodules share batches among devices themselves
             **arguments,
         )
-    except TypeError as error:  # an argument that Lightning does not have, given with +trainer.
+
+
+def check_arguments(arguments: dict[str, Any]) -> None:
+    """Refuse what Lightning's Trainer does not take, before data are made.
+
+    Raises:
+        CophyError: Says which argument, as Lightning does.
+    """
+    said = [logging.getLogger(f"lightning.{part}") for part in ("pytorch", "fabric")]
+    levels = [each.level for each in said]
+    for each in said:  # what it says of devices, it says again when the run has its Trainer
+        each.setLevel(logging.ERROR)
+    try:
+        with _explained(), warnings.catch_warnings(action="ignore"):
+            L.Trainer(logger=False, enable_checkpointing=False, **arguments)
+    finally:
+        for each, level in zip(said, levels, strict=True):
+            each.setLevel(level)
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """What is wrong with a Trainer's arguments is the user's to mend."""
+    try:
+        yield
+    except (TypeError, ValueError, RuntimeError, MisconfigurationException) as error:
         raise CophyError(f"trainer: {error}") from error
 
 

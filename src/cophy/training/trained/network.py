@@ -30,6 +30,8 @@ def build_network(model: Mapping[str, Any]) -> nn.Module:
     except InstantiationException as error:
         if isinstance(error.__cause__, TypeError):
             raise CophyError(f"model: {error.__cause__}; see {target}") from error
+        if isinstance(error.__cause__, MemoryError | RuntimeError) and "memory" in str(error.__cause__).lower():
+            raise CophyError(f"model: there is no memory for a network of this size; see {target}") from error
         raise error.__cause__ or error from None
 
 
