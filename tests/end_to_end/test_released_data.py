@@ -135,3 +135,41 @@ def test_the_audit_says_what_holds_and_what_does_not_apply(tree: CoPhyTree, tmp_
     assert failing >= {
         "scenes that are in two splits", "C is A but for one object", "objects are above the floor, centres at least",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["tower", "balls", "collision"])
+def test_an_audit_of_three_experiments_audits_what_it_can(tmp_path: Path, kind: str) -> None:
+    tree = CoPhyTree(tmp_path / "CoPhy_224", clips=False)
+    for name in "012":
+        getattr(tree, kind)(name)
+    task, ending, scenario = {
+        "tower": ("blocktowerCF", "_3_normal", "blocktower"),
+        "balls": ("ballsCF", "_4", "balls"),
+        "collision": ("collisionCF", "_normal", "collision"),
+    }[kind]
+    tree.lists(task, ending, train=["0"], val=["1"], test=["2"])
+    where = ("source=cophy", f"source.root={tree.root}", f"data_dir={tmp_path / 'data'}", f"scenario={scenario}")
+    assert "1 : 1 : 1" in run("audit", *where)
+
+
+def test_an_empty_list_is_named(tmp_path: Path) -> None:
+    tree = CoPhyTree(tmp_path / "CoPhy_224", clips=False)
+    for name in "012":
+        tree.balls(name)
+    tree.lists("ballsCF", "_4", train=["0", "1"], val=[], test=["2"])
+    printed = train(tree, tmp_path, "scenario=balls", code=1)
+    assert "leaves no val experiments" in printed
+    (listed,) = tree.root.rglob("*val*.txt")
+    assert str(listed) in printed
+
+
+def test_no_derenderer_learns_unknown_colors(tmp_path: Path) -> None:
+    """The released generator of towers writes no colors.txt."""
+    tree = CoPhyTree(tmp_path / "CoPhy_224", seed=1)
+    for name in IDS[:6]:
+        tree.generated_tower(name)
+    tree.lists("blocktowerCF", "_3_normal", train=IDS[:4], val=IDS[4:5], test=IDS[5:6])
+    printed = train(
+        tree, tmp_path, "scenario=blocktower", "model=derenderer", "num_objects=[3]", "num_images=10", code=1
+    )
+    assert "in 6 of 6 experiments no colors.txt says which object has which colour" in printed

@@ -29,7 +29,12 @@ class ClassifierCheck(Check):
 
 
 def tolerance(share: float, draws: int) -> float:
-    """BALANCE_TOLERANCE, or three standard deviations of a share among `draws` independent draws where that is more (tiny sets)."""
+    """BALANCE_TOLERANCE, or three standard deviations of a share among `draws` independent draws where that is more (tiny sets).
+
+    Without any draw every share is by chance.
+    """
+    if draws < 1:
+        return 1.0
     return max(BALANCE_TOLERANCE, 3 * float(np.sqrt(share * (1 - share) / draws)))
 
 

@@ -11,6 +11,7 @@ from cophy.dataset.feed.batch_order import Share, in_order, shuffled
 from cophy.dataset.feed.frame_dataset import FrameBatch, FrameDataset
 from cophy.dataset.splits import SPLITS
 from cophy.dataset.store.experiment_set import ExperimentSet
+from cophy.errors import CophyError
 from cophy.scenario.rendering.frames import RenderSettings
 
 
@@ -74,6 +75,8 @@ class FrameDataModule(L.LightningDataModule):
         if hasattr(self, "train"):
             return
         sources = [(experiments.frames(self.render), experiments.load()) for experiments in self.sets]
+        for experiments, (_, arrays) in zip(self.sets, sources, strict=True):
+            _check_colors(experiments, arrays)
         counts = self.num_images, self.num_images // 10, self.num_images // 10
         self.train, self.val, self.test = (
             FrameDataset(sources, split=split, resolution=self.resolution).sample(count, self.data_seed)
@@ -102,4 +105,18 @@ class FrameDataModule(L.LightningDataModule):
             persistent_workers=self.workers > 0,
             multiprocessing_context="fork" if self.workers else None,  # loky, joblib's own, cannot start loaders
             **batches,
+        )
+
+
+def _check_colors(experiments: ExperimentSet, arrays: dict[str, np.ndarray]) -> None:
+    """Refuse released towers without colors.txt: their masses, too, are those of unknown blocks, and so NaN.
+
+    Raises:
+        CophyError: Says in how many.
+    """
+    unknown = np.isnan(np.where(arrays["presence"][:, 0], arrays["mass"], 0.0)).any(axis=1)
+    if unknown.any():
+        raise CophyError(
+            f"{experiments.id}: in {unknown.sum()} of {unknown.size} experiments no colors.txt says which object has "
+            "which colour; a de-renderer tells objects by their colours"
         )

@@ -68,7 +68,8 @@ class ReleasedStates(ExperimentSet):
 
     @property
     def remedy(self) -> str:
-        return f"see {self.directory}"
+        lists = ", ".join(map(str, self.lists.paths))
+        return f"its lists of ids are {lists}; what could not be read is named in {self.directory}"
 
     def frames(self, render: RenderSettings) -> Clips:
         return Clips(self, self.spec)
