@@ -173,6 +173,8 @@ class TrainConfig(RenderDataConfig):
         _at_most(MAX_THREADS, threads=self.threads)
         _at_least(1, threads=self.threads, figures_every_n_epochs=self.figures_every_n_epochs)
         _at_least(10, num_images=self.num_images)
+        if self.ckpt is None:
+            self.trainer.check_validates()
         if not self.optimized_metric.startswith("val/"):
             raise ValueError(f"optimized_metric={self.optimized_metric} must be of the validation split: val/mse, …")
         if self.positions not in ESTIMATED:

@@ -30,11 +30,22 @@ class TrainerConfig:
     profiler: str | None = None
 
     def __post_init__(self) -> None:
-        every = self.check_val_every_n_epoch
-        if every < 1 or (self.max_epochs != -1 and every > max(self.max_epochs, 1)):
-            raise ValueError(f"trainer.check_val_every_n_epoch={every} must be from 1 to trainer.max_epochs")
-        for key in ("limit_train_batches", "limit_val_batches", "limit_test_batches"):
+        for key in ("limit_train_batches", "limit_test_batches"):
             if getattr(self, key) == 0:
                 raise ValueError(f"trainer.{key}=0: at least one batch is needed")
         if self.max_epochs == 0 or self.max_epochs < -1:
             raise ValueError(f"trainer.max_epochs={self.max_epochs} must be positive, or -1 for no limit")
+        if self.check_val_every_n_epoch < 1:
+            raise ValueError(f"trainer.check_val_every_n_epoch={self.check_val_every_n_epoch} must be at least 1")
+
+    def check_validates(self) -> None:
+        """Refuse a training that is never validated; one that goes on from a checkpoint may have its best from there.
+
+        Raises:
+            ValueError: No epoch is validated, or no batch of it.
+        """
+        every = self.check_val_every_n_epoch
+        if self.max_epochs != -1 and every > self.max_epochs:
+            raise ValueError(f"trainer.check_val_every_n_epoch={every} must be at most trainer.max_epochs")
+        if self.limit_val_batches == 0:
+            raise ValueError("trainer.limit_val_batches=0: at least one batch is needed")
