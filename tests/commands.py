@@ -21,6 +21,13 @@ ON_TWO = ("trainer.devices=2", "trainer.strategy=ddp", "trainer.accelerator=cpu"
 
 def run(script: str, *arguments: object, code: int = 0) -> str:
     """What a command prints; its exit code has to be `code`."""
+    ended, text = ending(script, *arguments)
+    assert ended == code, text[-3000:]
+    return text
+
+
+def ending(script: str, *arguments: object) -> tuple[int, str]:
+    """The exit code of a command, and what it prints."""
     printed = io.StringIO()
     with _as_left(), redirect_stdout(printed), redirect_stderr(printed), _arguments(script, *arguments) as path:
         ended = 0
@@ -32,9 +39,7 @@ def run(script: str, *arguments: object, code: int = 0) -> str:
         except Exception:
             ended = 1
             traceback.print_exc(file=printed)
-    text = printed.getvalue()
-    assert ended == code, text[-3000:]
-    return text
+    return ended, printed.getvalue()
 
 
 def run_apart(script: str, *arguments: object, code: int = 0) -> str:

@@ -20,6 +20,7 @@ from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.dataset.feed.frame_datamodule import FrameDataModule
 from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
+from cophy.training.runs.claim import Claim
 from cophy.training.runs.devices import is_first
 from cophy.training.runs.execution import Plan, carry_out
 from cophy.training.runs.identity import Run
@@ -32,32 +33,32 @@ from cophy.training.trained.resuming import check_resumable
 from cophy.training.trained.trained_derenderer import TrainedDerenderer, find_derenderer
 
 
-def run_configured(settings: TrainConfig, plain: dict[str, Any], run: Run) -> float:
+def run_configured(settings: TrainConfig, plain: dict[str, Any], claim: Claim) -> float:
     """Carry out the run that a configuration describes.
 
     Args:
         settings: The typed configuration.
         plain: The same as plain values, of which the model's arguments and parts of every checkpoint are made.
-        run: Its names and place.
+        claim: Its names and place.
 
     Returns:
         What a sweep optimises, see `optimized_metric` in conf/train.yaml; NaN where nothing was trained.
     """
-    started = time.monotonic()
+    started, run = time.monotonic(), claim.run
     logging.raiseExceptions = False  # a disk that is full stops the log, too: the run says so once, not every line
     if not is_first():  # what there is to say, the first process says
         logging.getLogger("cophy").setLevel(logging.WARNING)
     torch.set_num_threads(settings.threads)
     L.seed_everything(settings.seed, workers=True, verbose=False)
     if isinstance(settings.model, OracleConfig):
-        _carry_out_oracle(settings, settings.model, run, started)
+        _carry_out_oracle(settings, settings.model, claim, started)
         return math.nan
     check_arguments(plain["trainer"])
     resume = None if settings.ckpt is None else Path(settings.ckpt)
     stage, origin = _stage(settings, plain, run, resume)
     trainer = with_epochs(plain["trainer"], stage.epochs_factor)
     plan = Plan(trainer, settings.logger, settings.seed, settings.threads, settings.reuse, resume, started)
-    validation, wanted = carry_out(run, stage, plan, origin), settings.optimized_metric
+    validation, wanted = carry_out(claim, stage, plan, origin), settings.optimized_metric
     if validation and wanted not in validation:
         raise CophyError(f"optimized_metric={wanted} is not among {', '.join(sorted(validation))}")
     return validation.get(wanted, math.nan)
@@ -141,14 +142,14 @@ def _derenderer(settings: TrainConfig, run: Run) -> TrainedDerenderer:
     return derenderer
 
 
-def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, run: Run, started: float) -> None:
+def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, claim: Claim, started: float) -> None:
     if settings.ckpt is not None:
-        raise CophyError(f"ckpt={settings.ckpt}: {run.model} has nothing to train or to restore")
+        raise CophyError(f"ckpt={settings.ckpt}: {claim.run.model} has nothing to train or to restore")
     if settings.trainer.fast_dev_run:
         raise CophyError("trainer.fast_dev_run: an oracle takes no training step to try")
     if settings.positions != "ground_truth":
         raise CophyError(f"positions={settings.positions}: oracles simulate, from true positions only")
-    data = _experiments(settings, run, DeclaredInputs())
+    data = _experiments(settings, claim.run, DeclaredInputs())
     data.prepare_data()
     data.setup()
-    carry_out_oracle(run, data, oracle.oracle, oracle.settings, loggers=settings.logger, started=started)
+    carry_out_oracle(claim, data, oracle.oracle, oracle.settings, loggers=settings.logger, started=started)

@@ -6,12 +6,14 @@ import os
 import re
 import sys
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import wraps
 from pathlib import Path
 from typing import Any
 
+from hydra._internal import defaults_list
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, MissingConfigException
 from hydra.experimental.callback import Callback
@@ -20,6 +22,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from cophy.app import key_help  # noqa: F401  the resolver of help texts
+from cophy.app.composition import CONF
 from cophy.errors import SAFE, CophyError
 from cophy.training.runs.identity import FAILURE
 
@@ -97,9 +100,8 @@ def _list(failed: list[str]) -> str:
 def is_mendable(error: Exception) -> bool:
     """Whether the person at the terminal can mend it, so that one line is enough."""
     of_a_file = isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOSPC)
-    return (
-        of_a_file or isinstance(error, HydraException | OmegaConfBaseException | CophyError) or _of_slurm(error) != ""
-    )
+    of_settings = isinstance(error, HydraException | OmegaConfBaseException | CophyError) or _is_of_choices(error)
+    return of_a_file or of_settings or _of_slurm(error) != ""
 
 
 def explain(error: BaseException) -> str:
@@ -110,6 +112,10 @@ def explain(error: BaseException) -> str:
         return f"{error.filename}: {error.strerror}"
     if slurm := _of_slurm(error):
         return slurm
+    if _is_of_choices(error):
+        return (
+            f"a group ({', '.join(_groups_given())}) takes the name of a file in conf/, or names in brackets: {error}"
+        )
     if file := IN_A_FILE.match(str(error)):
         return _explain_file(*file.group(1, 2, 3))
     if choice := WITHOUT_GRIDS.match(str(error)):
@@ -121,6 +127,17 @@ def explain(error: BaseException) -> str:
         what = (cause.msg or str(cause)).splitlines()[0]
         return f"{cause.full_key or cause.key}: {what}{_suggest_key(str(cause.key), cause.parent_node)}"
     return " ".join(line.strip() for line in str(error).splitlines() if line.strip())
+
+
+def _is_of_choices(error: BaseException) -> bool:
+    """Whether Hydra fails over what a group is given: scenario=null, split=[3]."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return bool(frames) and frames[-1].filename == defaults_list.__file__ and not isinstance(error, HydraException)
+
+
+def _groups_given() -> list[str]:
+    words = [word.lstrip("+") for word in sys.argv[1:]]
+    return [word for word in words if "=" in word and (CONF / word.partition("=")[0]).is_dir()]
 
 
 def _of_slurm(error: BaseException) -> str:

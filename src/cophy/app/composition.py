@@ -50,13 +50,15 @@ def _check_keys(config: DictConfig, path: str) -> None:
 
 
 def _check_finite(value: Any, path: str) -> None:
-    """Refuse NaN and infinite numbers, of which no key makes sense."""
+    """Refuse NaN, infinite numbers and those of more than 64 bits, of which no key makes sense."""
     if isinstance(value, dict | list):
         items = value.items() if isinstance(value, dict) else enumerate(value)
         for key, inner in items:
             _check_finite(inner, f"{path}.{key}" if path else str(key))
     elif isinstance(value, float) and not math.isfinite(value):
         raise CophyError(f"{path}={value} must be a finite number")
+    elif isinstance(value, int) and value.bit_length() > 63:
+        raise CophyError(f"{path} is a number of {value.bit_length()} bits: too large")
 
 
 def to_plain(config: DictConfig) -> dict[str, Any]:

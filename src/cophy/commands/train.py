@@ -42,8 +42,8 @@ def main(cfg: DictConfig) -> float:
     if side_by_side:  # their bars would overwrite each other
         plain["trainer"] |= {"enable_progress_bar": False, "enable_model_summary": False}
     try:
-        with claimed(run):
-            optimized = run_configured(to_config(cfg, TrainConfig), plain, run)
+        with claimed(run) as claim:
+            optimized = run_configured(to_config(cfg, TrainConfig), plain, claim)
     except Exception as error:
         if chosen.mode is RunMode.MULTIRUN:  # the other runs go on; Hydra names only the first that failed
             log.error("%s failed: %s", run.place, error, exc_info=not cli.is_mendable(error))

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from cophy.atomic_files import write_atomically
 from cophy.dataset.store.states import States
+from cophy.errors import CophyError
 from cophy.report import difficulty_page, figures
 from cophy.report.choices import Choices
 from cophy.report.mse_by_difficulty import mse_by_difficulty
@@ -43,6 +44,8 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
         has_twins: Whether the data have twins, margins and balance, as generated ones have.
         show_all: Whether empty tables, captions and a line for each run are printed, too.
     """
+    if not outputs.is_dir():
+        raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there, study.py answers")
     (directory / "figures").mkdir(parents=True, exist_ok=True)
     runs = read_runs(outputs, choices.keys_of)
     tables = overviews(runs)
@@ -105,7 +108,7 @@ def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figu
             terminal_tables.show(result.table.title, cells, result.caption)
         elif is_filled:
             better = "Lower" if result.table.lower_is_better else "Higher"
-            caption = f"Ours, the paper's below it. {better} is better."
+            caption = f"Ours, the paper's below it. {better} is better. {result.left_out}".strip()
             terminal_tables.show(result.table.title, terminal_tables.filled_only(cells), caption)
         if not is_filled:
             continue

@@ -8,7 +8,7 @@ from cophy.scenario.do_operations import Displace, DoOperation, Remove
 from cophy.scenario.physics.energy import largest_gain
 from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
 from cophy.scenario.physics.surroundings import floor, walls
-from cophy.scenario.search.simulated import SimulatedSearch
+from cophy.scenario.search.simulated import TRIES, SimulatedSearch, no_room
 from cophy.scenario.symmetry import square
 
 
@@ -23,6 +23,10 @@ class Balls(SimulatedSearch):
     speed: list[float]  # of every ball at t = 0, in a random direction: smallest and largest
     displacement: list[float]  # smallest and largest, in a random direction
     max_energy_gain: float  # between two states, as a share of the energy at the start
+
+    @classmethod
+    def ranges(cls) -> tuple[str, ...]:
+        return ("displacement", "speed")
 
     @classmethod
     def known_do_operations(cls) -> tuple[str, ...]:
@@ -46,8 +50,11 @@ class Balls(SimulatedSearch):
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
         reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2
         centres = rng.uniform(-reach, reach, (len(slots), 2))
+        tries = 1
         while not self._apart(centres):
-            centres = rng.uniform(-reach, reach, (len(slots), 2))
+            if tries == TRIES:
+                raise no_room("balls", f"{len(slots)} balls do not fit with scenario.min_gap between them")
+            centres, tries = rng.uniform(-reach, reach, (len(slots), 2)), tries + 1
         velocities = self.random_velocities(len(slots), rng)
         balls = tuple(
             Body(
@@ -73,13 +80,14 @@ class Balls(SimulatedSearch):
             return Remove(kind, _slot(balls[rng.integers(len(balls))]))
         centres = np.array([ball.position[:2] for ball in balls])
         reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2
-        while True:
+        for _ in range(TRIES):
             index = int(rng.integers(len(balls)))
             x, y = rng.uniform(self.displacement[0], self.displacement[1]) * _directions(1, rng)[0]
             moved = centres.copy()
             moved[index] += (x, y)
             if self._apart(moved) and np.abs(moved).max() <= reach:
                 return Displace(kind, _slot(balls[index]), (float(x), float(y), 0.0))
+        raise no_room("balls", "scenario.displacement leaves no ball in the arena with scenario.min_gap to the others")
 
     def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
         """Whether the sequence stays in sight and gains no energy from an impact that the solver resolves wrongly."""

@@ -36,6 +36,10 @@ class Blocktower(Scenario):
         return 2
 
     @classmethod
+    def ranges(cls) -> tuple[str, ...]:
+        return ("displacement", "stable_fraction")
+
+    @classmethod
     def known_do_operations(cls) -> tuple[str, ...]:
         return ("displace_x", "displace_y", "remove_top")
 

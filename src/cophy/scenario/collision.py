@@ -8,7 +8,7 @@ from cophy.scenario.do_operations import Displace, DoOperation
 from cophy.scenario.physics.energy import largest_gain
 from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
 from cophy.scenario.physics.surroundings import floor
-from cophy.scenario.search.simulated import SimulatedSearch
+from cophy.scenario.search.simulated import TRIES, SimulatedSearch, no_room
 from cophy.scenario.symmetry import square
 
 # (moving, static): shapes of the two objects, one cell each
@@ -29,6 +29,10 @@ class Collision(SimulatedSearch):
     displacement: list[float]  # along x or y: smallest and largest
     min_gap: float  # between the two objects, in A and C
     max_energy_gain: float  # between two states, as a share of the energy at the start
+
+    @classmethod
+    def ranges(cls) -> tuple[str, ...]:
+        return ("displacement", "distance")
 
     @classmethod
     def known_do_operations(cls) -> tuple[str, ...]:
@@ -79,13 +83,14 @@ class Collision(SimulatedSearch):
         moving, static = scene.objects
         body, other = (moving, static) if kind == "displace_moving" else (static, moving)
         assert body.slot is not None
-        while True:
+        for _ in range(TRIES):
             offset = np.zeros(2)
             offset[rng.integers(2)] = rng.uniform(self.displacement[0], self.displacement[1]) * rng.choice([-1.0, 1.0])
             between = np.array(body.position[:2]) + offset - other.position[:2]
             # a lying cylinder is square from above: its corners reach half a diagonal, more than any other outline
             if np.linalg.norm(between) >= (1 + np.sqrt(2)) / 2 * self.object_size + self.min_gap:
                 return Displace(kind, body.slot, (float(offset[0]), float(offset[1]), 0.0))
+        raise no_room("collision", "scenario.displacement leaves no scenario.min_gap between the objects")
 
     def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
         """Whether the sequence stays in sight and gains no energy from an impact that the solver resolves wrongly.

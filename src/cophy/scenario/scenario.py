@@ -1,6 +1,7 @@
 """What every scenario has: the fields of the files in conf/scenario, and how a twin pair is made."""
 
 import math
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -16,6 +17,8 @@ from cophy.scenario.physics.statics import TowerStatics
 from cophy.scenario.physics.surroundings import floor
 from cophy.scenario.rendering.camera import Camera
 from cophy.scenario.search.assignment import Assignment, assign
+
+HEX_COLOR = re.compile("#[0-9a-fA-F]{6}")
 
 
 @dataclass
@@ -56,6 +59,13 @@ class Scenario(ABC):
                 f"scenario.min_difference={self.min_difference:g} m: in this scenario nothing moves farther than "
                 f"{self.farthest_m:.3g} m"
             )
+        for key in self.ranges():
+            smallest_and_largest = list(getattr(self, key))
+            if len(smallest_and_largest) != 2 or smallest_and_largest != sorted(smallest_and_largest):
+                raise ValueError(f"scenario.{key}={smallest_and_largest}: two numbers, the smallest and the largest")
+        for slot, color in self.colors.items():
+            if not HEX_COLOR.fullmatch(color):
+                raise ValueError(f'scenario.colors.{slot}={color}: a colour is "#rrggbb"')
         unknown = set(self.do_operations) - set(self.known_do_operations())
         if unknown or not self.do_operations:
             raise ValueError(
@@ -73,6 +83,11 @@ class Scenario(ABC):
     def search_version(cls) -> int:
         """Raised when other experiments are found for the same index, with the same configuration."""
         return 1
+
+    @classmethod
+    def ranges(cls) -> tuple[str, ...]:
+        """Names of the fields that hold a smallest and a largest number."""
+        return ("displacement",)
 
     @classmethod
     @abstractmethod

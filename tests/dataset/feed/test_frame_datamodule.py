@@ -30,6 +30,11 @@ def test_frames_are_those_of_the_split_they_are_asked_for(tiny_data: Path) -> No
     batch = next(iter(data.train_dataloader()))
     assert batch.image.shape == (10, 3, 16, 16)
     assert batch.presence.sum(dim=1).tolist() == [2] * 10
+    loader = data.train_dataloader()
+    opened, order = iter(loader), loader.sampler
+    order.set_epoch(3)  # as Lightning does where a training goes on: only after it opened the loader
+    wanted = [data.train[item].position for item in list(order)[:10]]
+    np.testing.assert_array_equal(next(opened).position, np.stack(wanted))
     item = data.train[3]
     _, row, sequence, frame = data.train.index[3].tolist()
     np.testing.assert_array_equal(item.position, arrays["states"][row, sequence, 4 * frame, :, :3])

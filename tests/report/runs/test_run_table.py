@@ -52,6 +52,17 @@ def leave(directory: Path, metrics: str | bytes, config: str = CONFIG) -> None:
     write_predictions(directory, Prediction(position), targets)
 
 
+def test_what_was_refused_before_it_began_does_not_count(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    for seed, begun in enumerate((True, False)):
+        directory = tmp_path / PLACE.with_name(f"seed{seed}")
+        directory.mkdir(parents=True)
+        names = run("cophynet", seed=seed) | {"variant": "", "error": "boom", "has_begun": begun}
+        (directory / "failure.json").write_text(json.dumps({**names, "directory": ""}))
+    assert read_runs(tmp_path, lambda names: {})["seed"].tolist() == [0]
+    assert "refused before they began, and do not count: 1." in caplog.text
+
+
 def test_only_runs_in_their_own_place_are_read(tmp_path: Path) -> None:
     for directory in (PLACE, Path("demo") / PLACE, Path("blocktower/3to3/in/full/ground_truth/seed0")):
         leave(tmp_path / directory, json.dumps(content()))

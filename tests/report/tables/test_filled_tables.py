@@ -150,4 +150,15 @@ def test_runs_of_a_smaller_size_do_not_mix_in() -> None:
     runs = pd.DataFrame(
         [measured("mse", 0.2, "cophynet"), measured("mse", 0.9, "cophynet", seed=1, size="tiny", num_train=28)]
     )
-    assert fill(TABLES["blocktower"], runs).cells().loc["3→3", "CoPhyNet"].startswith("0.200 [")
+    filled = fill(TABLES["blocktower"], runs)
+    assert filled.cells().loc["3→3", "CoPhyNet"].startswith("0.200 [")
+    assert filled.caption.endswith("A table is of one size; runs of another are left out: tiny.")
+
+
+def test_a_smaller_size_does_not_fill_what_the_larger_leaves_open() -> None:
+    """Shares and the best would compare errors on different data."""
+    tiny = [measured("mse", 0.9, name, size="tiny", num_train=28) for name in ("in", "oracle_feedforward")]
+    failed = run("npe", size="tiny", error="boom")
+    cells = fill(TABLES["blocktower"], pd.DataFrame([measured("mse", 0.2, "cophynet"), *tiny, failed])).cells()
+    assert cells.loc["3→3", ["IN", "NPE"]].tolist() == ["— / 0.318", "— / 0.331"]
+    assert fill(TABLES["blocktower"], pd.DataFrame(tiny)).cells().loc["3→3", "IN"].startswith("0.900")

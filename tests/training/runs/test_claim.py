@@ -32,11 +32,22 @@ def test_one_process_at_a_time_makes_a_run(run: Run) -> None:
     assert sorted(path.name for path in run.directory.iterdir()) == [".lock", "metrics.json"]
 
 
-def test_the_same_run_forgets_its_earlier_results(run: Run) -> None:
+def test_the_same_run_forgets_its_earlier_results_when_it_begins(run: Run) -> None:
     with claimed(run):
         finish(run)
-    with claimed(run):
+    with claimed(run) as claim:
+        assert (run.directory / "metrics.json").exists()
+        claim.begin()
         assert not (run.directory / "metrics.json").exists()
+
+
+def test_what_is_refused_before_it_begins_keeps_earlier_results(run: Run) -> None:
+    with claimed(run):
+        finish(run)
+    with pytest.raises(CophyError, match="no file"), claimed(run):
+        raise CophyError("ckpt=nowhere is no file")
+    assert (run.directory / "metrics.json").exists()
+    assert json.loads((run.directory / "failure.json").read_text())["has_begun"] is False
 
 
 def test_the_results_of_another_run_are_not_replaced(run: Run) -> None:
@@ -57,7 +68,8 @@ def test_results_without_a_variant_are_those_of_their_names(run: Run) -> None:
     path.write_text(json.dumps(content))
     with pytest.raises(CophyError, match=r"is of another run \(seed=1\)"), claimed(replace(run, seed=2)):
         raise AssertionError("replaced")
-    with claimed(run):
+    with claimed(run) as claim:
+        claim.begin()
         assert not path.exists()
 
 

@@ -35,7 +35,7 @@ def test_metrics_are_means_with_their_intervals(run: Run) -> None:
 
 
 def test_a_new_start_forgets_what_was_there(run: Run) -> None:
-    write_failure(run, ValueError("two\nlines"))
+    write_failure(run, ValueError("two\nlines"), has_begun=True)
     assert json.loads((run.directory / "failure.json").read_text())["error"] == "ValueError: two lines"
     forget_results(run)
     assert not list(run.directory.iterdir())

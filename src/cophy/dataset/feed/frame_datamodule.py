@@ -1,6 +1,6 @@
 """Frames for de-renderers: makes and renders what is missing, and chooses frames at random."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import lightning as L
@@ -99,13 +99,23 @@ class FrameDataModule(L.LightningDataModule):
         return self._loader(frames, batch_sampler=batches)
 
     def _loader(self, frames: FrameDataset, **batches: Any) -> DataLoader[FrameBatch]:
-        return DataLoader(
+        return BatchesWhenAsked(
             frames,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
             multiprocessing_context="fork" if self.workers else None,  # loky, joblib's own, cannot start loaders
             **batches,
         )
+
+
+class BatchesWhenAsked(DataLoader[FrameBatch]):
+    """Workers begin with the first batch that is asked for.
+
+    Lightning opens a loader before it says in which epoch a training goes on: those batches were of the first epoch.
+    """
+
+    def __iter__(self) -> Iterator[FrameBatch]:  # type: ignore[override]  # PyTorch promises its own class
+        yield from super().__iter__()
 
 
 def _check_colors(experiments: ExperimentSet, arrays: dict[str, np.ndarray]) -> None:

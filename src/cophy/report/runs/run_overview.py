@@ -5,13 +5,9 @@ from collections.abc import Iterator
 import pandas as pd
 
 from cophy.report.figures import in_order, row_name
+from cophy.report.runs.stored_run import POSITIONS
 
 MISSING = "—"
-SEEN = {
-    "ground_truth": "true positions",
-    "derendered": "estimated positions",
-    "train_ground_truth_test_derendered": "estimated positions in testing",
-}
 
 
 def overviews(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -29,7 +25,7 @@ def kinds(runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     """Runs of one scenario, size and kind of positions together, with a title for them."""
     if len(runs):
         for (scenario, size, positions), found in runs.groupby(["scenario", "size", "positions"]):
-            yield f"{scenario}, size {size}, {SEEN[str(positions)]}", found
+            yield f"{scenario}, size {size}, {POSITIONS[str(positions)]}", found
 
 
 def _table(runs: pd.DataFrame) -> pd.DataFrame:

@@ -32,10 +32,11 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
 
     Returns:
         One line each: names, directory, counts, epochs, metric_dims, every test metric and its interval (`_low`, `_high`). A failed
-        run has its `error` instead of results; `error` is None for the others.
+        run has its `error` instead of results; `error` is None for the others. One that was refused before it began is
+        left out.
     """
     places = [f"*/*/*/*/*/seed*/{name}" for name in (METRICS, FAILURE)]
-    lines, aside = [], dict[str, list[str]]()
+    lines, aside, refused = [], dict[str, list[str]](), 0
     for path in sorted(found for place in places for found in outputs.glob(place)):
         try:
             line = read_line(path)
@@ -46,7 +47,9 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError, YAMLError) as error:
             log.warning("%s is skipped: %s: %s", path, type(error).__name__, " ".join(str(error).split()))
         else:
-            if changes:
+            if line.pop("has_begun", True) is False:
+                refused += 1
+            elif changes:
                 aside.setdefault(", ".join(changes), []).append(" ".join(str(line[name]) for name in NAMES[:3]))
             else:
                 lines.append(line | {"directory": path.parent})
@@ -54,6 +57,8 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
         one = "1 run fills no table, as its configuration is its own"
         said = one if len(names) == 1 else f"{len(names)} runs fill no table, as their configuration is their own"
         log.warning(notice(f"{said} ({reason}): {'; '.join(names)}."))
+    if refused:
+        log.info(notice(f"Runs that were refused before they began, and do not count: {refused}."))
     return pd.DataFrame(lines)
 
 

@@ -13,6 +13,11 @@ from cophy.training.runs.identity import FAILURE
 from cophy.training.runs.results import read_predictions
 
 NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "size")
+POSITIONS = {  # what a predictor sees, and how the report says it
+    "ground_truth": "true positions",
+    "derendered": "estimated positions",
+    "train_ground_truth_test_derendered": "estimated positions in testing",
+}
 COUNTS = ("num_train", "num_test", "training_seconds", "wall_seconds")
 MAX_BYTES = 1 << 20  # ours: a run's files have some kilobytes
 NEVER_NEGATIVE = ("mse", "final_position_error", "pixel_error")
@@ -28,8 +33,10 @@ def read_line(path: Path) -> dict[str, Any]:
     line: dict[str, Any] = {name: _text(content, name) for name in NAMES if name != "seed"}
     line["seed"] = int(_number(content, "seed"))
     line["variant"] = content.get("variant", "")
+    if line["positions"] not in POSITIONS:
+        raise CophyError(f"positions: {_short(line['positions'])} is not among {', '.join(POSITIONS)}")
     if path.name == FAILURE:
-        return line | {"error": _text(content, "error")}
+        return line | {"error": _text(content, "error"), "has_begun": content.get("has_begun") is not False}
     line |= {name: _number(content, name, at_least=0.0) for name in COUNTS} | {"error": None}
     line["dataset_ids"], line["derenderer"] = content.get("dataset_ids"), content.get("derenderer")
     if not _is_texts(line["dataset_ids"]) or not isinstance(line["derenderer"], str | None):

@@ -1,7 +1,8 @@
 """A table of the paper with our numbers: each cell ours, with the paper's beside it."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,16 @@ NUMBERS = ("ours", "sd", "low", "high")
 PEOPLE = "people"  # key of a row that people fill
 
 
+class Choice(NamedTuple):
+    """What fills a cell: the runs of these names, or the people of a setting."""
+
+    row: str
+    column: str
+    metric: str
+    people: str
+    names: dict[str, str]
+
+
 @dataclass(frozen=True)
 class FilledTable:
     """A paper table with our numbers.
@@ -24,11 +35,13 @@ class FilledTable:
         values: One line per cell, in the table's own unit: row, column, ours, sd over seeds, low and high of the 95 %
             interval, seeds, failed, paper, best; and share of the possible gain with its interval, see `shares`.
         caption: What the cells are, and of which runs.
+        left_out: A sentence on runs of smaller sizes, which are in no cell; "" where there are none.
     """
 
     table: PaperTable
     values: pd.DataFrame
     caption: str
+    left_out: str
 
     def cells(self, bold: tuple[str, str] = ("", "")) -> pd.DataFrame:
         """To read: rows × columns of "ours / the paper's", the best between the two strings of `bold`."""
@@ -89,21 +102,46 @@ def fill(
         errors_of: Gives the errors of a run, of which the intervals of shares are made; None for no such intervals.
         people: See `of_people`; None where nobody took the study.
     """
+    runs, left_out = _of_one_size(runs, table)
     values, used = [], []
-    for (row, in_row), printed in zip(table.rows.items(), table.paper, strict=True):
-        for (column, in_column), paper in zip(table.columns.items(), printed, strict=True):
-            choice = {"positions": "ground_truth", **table.select, **in_row, **in_column}
-            metric = choice.pop("metric")
-            if PEOPLE in in_row:
-                numbers, found = _people(people, in_row[PEOPLE], metric), runs.iloc[:0]
-            else:
-                numbers, found = _cell(runs, choice, metric, table.scale)
-            used.append(found)
-            values.append({"row": row, "column": column, "metric": metric, **numbers, "paper": paper})
+    for choice, paper in zip(_choices(table), chain.from_iterable(table.paper), strict=True):
+        if choice.people:
+            numbers, found = _people(people, choice.people, choice.metric), runs.iloc[:0]
+        else:
+            numbers, found = _cell(runs, choice, table.scale)
+        used.append(found)
+        about = {"row": choice.row, "column": choice.column, "metric": choice.metric}
+        values.append({**about, **numbers, "paper": paper})
     frame = pd.DataFrame(values)
     low, high = _share_intervals(table, frame, used, errors_of)
     frame = frame.assign(best=_best(table, frame), share=_share(table, frame), share_low=low, share_high=high)
-    return FilledTable(table, frame, " ".join([caption(table, pd.concat(used)), *_controls(table, runs)]))
+    said = [caption(table, pd.concat(used)), *_controls(table, runs), left_out]
+    return FilledTable(table, frame, " ".join(said).strip(), left_out)
+
+
+def _choices(table: PaperTable) -> list[Choice]:
+    """Of every cell, row by row."""
+    found = []
+    for row, in_row in table.rows.items():
+        for column, in_column in table.columns.items():
+            names = {"positions": "ground_truth", **table.select, **in_row, **in_column}
+            people, metric = names.pop(PEOPLE, ""), names.pop("metric")
+            found.append(Choice(row, column, metric, people, names))
+    return found
+
+
+def _of_one_size(runs: pd.DataFrame, table: PaperTable) -> tuple[pd.DataFrame, str]:
+    """The runs of each scenario's largest size, and a sentence on the others, which saw other data."""
+    if runs.empty:
+        return runs, ""
+    found = pd.concat([select(runs, **choice.names) for choice in _choices(table) if not choice.people])
+    finished = found[found["error"].isna()].sort_values("num_train")
+    largest = finished.groupby("scenario")["size"].last().to_dict()
+    is_largest = [largest.get(name, size) == size for name, size in zip(runs["scenario"], runs["size"], strict=True)]
+    kept = runs[is_largest]
+    if not (others := sorted(set(found["size"]) - set(kept["size"]))):
+        return kept, ""
+    return kept, f"A table is of one size; runs of another are left out: {', '.join(others)}."
 
 
 def _controls(table: PaperTable, runs: pd.DataFrame) -> list[str]:
@@ -129,15 +167,14 @@ def select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
     return runs[chosen]
 
 
-def _cell(runs: pd.DataFrame, choice: dict[str, str], metric: str, scale: float) -> tuple[dict[str, Any], pd.DataFrame]:
+def _cell(runs: pd.DataFrame, choice: Choice, scale: float) -> tuple[dict[str, Any], pd.DataFrame]:
     """The numbers of a cell, and the runs that they are of."""
-    found = select(runs, **choice)
+    found, metric = select(runs, **choice.names), choice.metric
     failed = int(found["error"].notna().sum()) if len(found) else 0
     found = found[found[metric].notna()] if metric in found else found.iloc[:0]
     if found.empty:
         return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": failed}, found
-    for kind in ("num_train", "epochs"):  # a cell averages runs of one size and one length: the largest
-        found = found[found[kind] == found[kind].max()]
+    found = found[found["epochs"] == found["epochs"].max()]  # a cell averages runs of one length: the longest
     low, high = found[f"{metric}_low"].mean(), found[f"{metric}_high"].mean()
     numbers = zip(NUMBERS, (found[metric].mean(), found[metric].std(), low, high), strict=True)
     return {**{name: scale * value for name, value in numbers}, "seeds": len(found), "failed": failed}, found

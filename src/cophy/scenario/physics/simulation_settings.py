@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+MOST = 10_000  # steps per second, and iterations per step: far more than helps
+
 
 @dataclass
 class Solver:
@@ -17,8 +19,9 @@ class Solver:
     elastic_impacts: bool
 
     def __post_init__(self) -> None:
-        if self.step_rate_hz <= 0 or self.iterations <= 0:
-            raise ValueError(f"solver: step_rate_hz and iterations must be positive, not {self}")
+        for key in ("step_rate_hz", "iterations"):
+            if not 0 < getattr(self, key) <= MOST:
+                raise ValueError(f"scenario.solver.{key}={getattr(self, key)} must be from 1 to {MOST}")
 
 
 @dataclass

@@ -24,6 +24,17 @@ SCENES_PER_ROUND = (
 )
 ROUNDS = 20
 DO_OPERATIONS_PER_SCENE = 3
+TRIES = 100_000  # of one placement: seconds; that of six balls takes some ten
+
+
+def no_room(scenario: str, what: str) -> CophyError:
+    """The error of a placement that was tried `TRIES` times.
+
+    Args:
+        scenario: Its name.
+        what: Is too narrow.
+    """
+    return CophyError(f"no {scenario} scene in {TRIES} tries: {what}")
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""One process at a time makes a run, and no run replaces the results of another."""
+"""One process at a time makes a run; no run replaces the results of another, and none forgets its own before it begins."""
 
 import errno
 import json
@@ -9,19 +9,38 @@ from filelock import FileLock, Timeout
 
 from cophy.errors import SAFE, CophyError
 from cophy.training.runs.devices import is_first
-from cophy.training.runs.identity import METRICS, Run
+from cophy.training.runs.identity import FAILURE, METRICS, Run
 from cophy.training.runs.results import forget_results, write_failure
 
 
+class Claim:
+    """Of a run's directory, by one process.
+
+    Attributes:
+        run: Whose directory it is.
+        has_begun: Whether the run got so far that it trains, tests or asks its oracle.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run, self.has_begun = run, False
+
+    def begin(self) -> None:
+        """Forget earlier results of the run. What is refused before, by a wrong key or missing data, costs none."""
+        self.has_begun = True
+        if is_first():
+            forget_results(self.run)
+
+
 @contextmanager
-def claimed(run: Run) -> Iterator[None]:
-    """The run's directory is this process's: earlier results of the same run are forgotten, a failure is noted.
+def claimed(run: Run) -> Iterator[Claim]:
+    """The run's directory is this process's, and a failure is noted.
 
     Raises:
         CophyError: Another process is making this run, or the directory holds the results of another run.
     """
+    claim = Claim(run)
     if not is_first():  # the first process claims it for all
-        yield
+        yield claim
         return
     run.directory.mkdir(parents=True, exist_ok=True)
     try:
@@ -30,12 +49,12 @@ def claimed(run: Run) -> Iterator[None]:
         raise CophyError(f"{run.directory}: another process is making this run; wait until it is done") from error
     with lock:
         _check_own(run)
-        forget_results(run)
+        (run.directory / FAILURE).unlink(missing_ok=True)
         try:
-            yield
+            yield claim
         except Exception as error:
             with suppress(OSError):  # of a full disk
-                write_failure(run, error)
+                write_failure(run, error, has_begun=claim.has_begun)
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:
                 raise CophyError(f"no space left for {run.directory}: {SAFE}") from error
             raise

@@ -17,6 +17,7 @@ from cophy.training.callbacks.best_validation import BestValidation
 from cophy.training.callbacks.stopwatch import Stopwatch
 from cophy.training.curves import Curves
 from cophy.training.runs import devices, reuse
+from cophy.training.runs.claim import Claim
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import write_metrics
 from cophy.training.runs.reuse import Trained
@@ -63,11 +64,11 @@ class Watched(NamedTuple):
     stopwatch: Stopwatch
 
 
-def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, float]:
+def carry_out(claim: Claim, stage: Stage, plan: Plan, origin: Origin) -> dict[str, float]:
     """Train, test and write the results.
 
     Args:
-        run: Its names and place.
+        claim: The run's names and place.
         stage: Data and module.
         plan: How it is trained.
         origin: What goes into the checkpoints.
@@ -75,17 +76,20 @@ def carry_out(run: Run, stage: Stage, plan: Plan, origin: Origin) -> dict[str, f
     Returns:
         The validation metrics of the epoch whose weights were tested; nothing from a trial, or where nothing is trained.
     """
+    run = claim.run
     watched = Watched(BestValidation(run.checkpoints / "best.ckpt"), Stopwatch(str(run.place)))
     loggers = loggers_of(run, plan.loggers)
     with finishing(loggers):
         trainer = make_trainer(run, origin, [stage.figures, *watched], loggers, plan.trainer)
         devices.meet(trainer, stage.module)
         best, trained = None, Trained(0.0, {}, 0)
+        if plan.resume is not None and not stage.learns:
+            raise CophyError(f"ckpt={plan.resume}: {run.model} has nothing to train or to restore")
+        if not plan.is_trial:  # a trial leaves all as it is
+            claim.begin()
         if stage.learns:
             trained = _train(trainer, watched, run, stage, plan, origin)
             best = None if plan.is_trial else run.checkpoints / "best.ckpt"
-        elif plan.resume is not None:
-            raise CophyError(f"ckpt={plan.resume}: {run.model} has nothing to train or to restore")
         else:
             forget_curves(trainer)
         if (
@@ -164,7 +168,8 @@ def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: P
     except MisconfigurationException as error:
         raise CophyError(f"trainer: {error}") from error
     except SIGTERMException as error:
-        raise SystemExit(128 + signal.SIGTERM) from error  # as of a process that it ends
+        # as of a process that it ends; of several, Lightning kills the first where another ends with a failure
+        raise SystemExit(128 + signal.SIGTERM if devices.is_first() else 0) from error
     trained = Trained(round(watched.stopwatch.seconds, 1), watched.best_epoch.metrics, resumed)
     if devices.is_first() and not plan.is_trial:
         reuse.record(run, wanted, trained)

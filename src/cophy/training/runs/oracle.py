@@ -14,8 +14,8 @@ from cophy.training.callbacks.prediction_figures import NUM_SHOWN, DrawnPredicti
 from cophy.training.curves import Curves
 from cophy.training.measures.copies import mse_of_copies
 from cophy.training.measures.evaluation import evaluate
+from cophy.training.runs.claim import Claim
 from cophy.training.runs.devices import is_first
-from cophy.training.runs.identity import Run
 from cophy.training.runs.results import Measured, write_metrics, write_predictions
 from cophy.training.runs.trainer import finishing, log_results, loggers_of
 from cophy.types import Prediction, take
@@ -24,7 +24,7 @@ MIN_PROBABILITY = 1e-6  # of being stable, and of not, so that its logit is fini
 
 
 def carry_out_oracle(
-    run: Run,
+    claim: Claim,
     data: CounterfactualDataModule,
     oracle: str,
     settings: OracleSettings,
@@ -35,7 +35,7 @@ def carry_out_oracle(
     """Test what an oracle forecasts; nothing is trained.
 
     Args:
-        run: Its names and place.
+        claim: The run's names and place.
         data: Set up; true positions.
         oracle: One of ORACLES. "feedforward": the mean of D over what could be, given A, C and the do-operation. No
             predictor without AB beats it in expectation. "initial_velocity": given that of A, too. "confounders": given
@@ -45,8 +45,10 @@ def carry_out_oracle(
         started: `time.monotonic()` when the run began.
     """
     prediction, targets = forecast(data, oracle, settings), data.test.batch.targets
+    claim.begin()
     if not is_first():
         return
+    run = claim.run
     copies = mse_of_copies(data.test.batch, data.scenario, data.mean_position)
     measured = Measured(evaluate(prediction, targets, data.scenario), targets.pair.numpy(), copies)
     write_predictions(run.directory, prediction, targets)

@@ -70,10 +70,16 @@ def write_metrics(run: Run, measured: Measured, about: dict[str, Any]) -> dict[s
     return metrics
 
 
-def write_failure(run: Run, error: BaseException) -> None:
-    """Leave a note that the run failed, so that the report can say so."""
+def write_failure(run: Run, error: BaseException, *, has_begun: bool) -> None:
+    """Leave a note that the run failed, so that the report can say so; not of one that was refused before it began.
+
+    Args:
+        run: Whose names it starts with.
+        error: Why.
+        has_begun: Whether it got so far that it trains or tests.
+    """
     what = " ".join(f"{type(error).__name__}: {error}".split())
-    _write_json(run.directory / FAILURE, {**run.names(), "error": what})
+    _write_json(run.directory / FAILURE, {**run.names(), "has_begun": has_begun, "error": what})
 
 
 def write_predictions(directory: Path, prediction: Prediction, targets: Targets) -> None:

@@ -16,7 +16,7 @@ from lightning.pytorch.loggers import Logger
 from cophy.errors import CophyError
 from cophy.training.callbacks.gradient_norm import GradientNorm
 from cophy.training.callbacks.run_checkpoints import BestCheckpoint, SaveOrigin
-from cophy.training.callbacks.stopping import ResumeHint, SubmititsSignals
+from cophy.training.callbacks.stopping import ResumeHint, StopTogether
 from cophy.training.curves import Curves
 from cophy.training.runs.devices import plugins
 from cophy.training.runs.identity import Run
@@ -116,7 +116,7 @@ def make_trainer(
         # It is written after every epoch, also where validation is rarer.
         ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True),
         SaveOrigin(origin),
-        SubmititsSignals(),
+        StopTogether(),
         *([LearningRateMonitor("epoch")] if loggers else []),
         GradientNorm(),
         *watching,
