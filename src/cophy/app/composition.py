@@ -1,9 +1,9 @@
 """Configurations as the command line composes them, typed or not."""
 
 import math
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
@@ -42,11 +42,26 @@ def _check_keys(config: DictConfig, path: str) -> None:
     schema = OmegaConf.get_type(config)
     if path in OPEN or not is_dataclass(schema):
         return
+    wanted = get_type_hints(schema)
     for key in map(str, config):
-        if key not in {field.name for field in fields(schema)}:
+        if key not in wanted:
             raise CophyError(f"{path}{key}: there is no such key; --help lists them")
-        if not OmegaConf.is_missing(config, key) and isinstance(child := config[key], DictConfig):
+        if OmegaConf.is_missing(config, key):
+            continue
+        _check_container(config[key], wanted[key], f"{path}{key}")
+        if isinstance(child := config[key], DictConfig):
             _check_keys(child, f"{path}{key}.")
+
+
+def _check_container(value: Any, wanted: Any, path: str) -> None:
+    """Refuse what is no list or dict where one belongs: OmegaConf lets a reference (`${key}`) be anything."""
+    kind = get_origin(wanted)
+    if kind not in (list, dict):
+        return
+    if not (OmegaConf.is_list(value) if kind is list else OmegaConf.is_dict(value)):
+        raise CophyError(f"{path}={value}: here is a {wanted}")
+    for inner in value if kind is list else value.values():
+        _check_container(inner, get_args(wanted)[-1], path)
 
 
 def _check_finite(value: Any, path: str) -> None:

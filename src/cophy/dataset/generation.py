@@ -27,6 +27,7 @@ from cophy.dataset.store.shardset import ShardSet
 from cophy.errors import CophyError
 
 FULL = 1 << 20  # bytes; ours: with less left, a worker that died is taken to have died of that
+PATIENCE_S = 30  # until it is said that there is no first experiment yet
 log = logging.getLogger(__name__)
 GUARD = "`if __name__ == '__main__':`"
 _done: "Synchronized[int]"  # experiments generated so far, shared by the workers of one run
@@ -112,7 +113,7 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
     if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
         multiprocessing.set_start_method("spawn", force=True)  # a job of joblib: its "loky" is unknown to its children
     done = context.Value("q", 0)
-    start, took = time.monotonic(), defaultdict[str, float](float)
+    start, took, told = time.monotonic(), defaultdict[str, float](float), False
     with (
         progress_bar(shards.title, total) as advance_to,
         ProcessPoolExecutor(min(workers, len(missing)), context, _start_worker, (done,)) as pool,
@@ -125,6 +126,9 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
                     for what, value in future.result().items():
                         took[what] += value
                 advance_to(done.value)
+                if not told and not done.value and time.monotonic() - start > PATIENCE_S:
+                    told = True
+                    log.warning("%s: none in %d s%s", shards.title, PATIENCE_S, shards.why_slow)
         except BrokenProcessPool as error:
             if shutil.disk_usage(shards.directory).free < FULL:  # HDF5 can end a process that cannot write
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error

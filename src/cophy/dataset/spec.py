@@ -22,9 +22,6 @@ class Size:
 
     def __post_init__(self) -> None:
         check_name("size.name", self.name)
-        grids = self.num_experiments.values() if isinstance(self.num_experiments, dict) else [None]
-        if not all(isinstance(grid, dict) for grid in grids):  # a reference to another key may be anything
-            raise ValueError(f"size.num_experiments={self.num_experiments} is not a count per scenario and objects")
         counts = [count for per_scenario in self.num_experiments.values() for count in per_scenario.values()]
         if any(count < 2 or count % 2 for count in [self.experiments_per_shard, *counts]):
             raise ValueError(f"size {self.name}: twins come in pairs, so all counts are even and at least 2")

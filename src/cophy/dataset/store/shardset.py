@@ -55,6 +55,11 @@ class ShardSet(ABC):
     def fields(self, shard: int) -> Fields:
         """The arrays of a shard."""
 
+    @property
+    def why_slow(self) -> str:
+        """What may be the matter where not even the first experiment is done after a while; "" where nothing is known."""
+        return ""
+
     @abstractmethod
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Make one shard.

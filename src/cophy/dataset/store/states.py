@@ -48,6 +48,10 @@ class States(ExperimentSet):
     ) -> bool:
         return (num_experiments, data_seed) == (self.spec.size.num_experiments, self.spec.data_seed)
 
+    @property
+    def why_slow(self) -> str:
+        return "; settings of one's own (min_difference, min_effect, ranges, sizes) may leave no experiment to be found"
+
     def remarks(self) -> list[str]:
         beside = self.directory.parent.glob(f"{self.spec.num_objects}-{self.spec.size.name}-*")
         formats = {directory: read_format(directory) for directory in sorted(beside)}

@@ -68,6 +68,13 @@ class SimulatedSearch(Scenario):
             rng: all that is random comes from it.
         """
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.farthest_m is not None and self.min_effect > self.farthest_m:
+            raise ValueError(
+                f"scenario.min_effect={self.min_effect:g} m: nothing moves farther than {self.farthest_m:.3g} m"
+            )
+
     @property
     def sight_extent_m(self) -> float:
         return self.extent
