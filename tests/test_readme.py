@@ -100,7 +100,7 @@ def test_the_first_steps_run(tiny_data: Path, tmp_path: Path) -> None:
 
 def test_the_readme_reads_data_from_python(tiny_data: Path, tmp_path: Path) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
-    assert 'size="small"' in code
-    code = code.replace('size="small"', f'size="tiny", data_dir={str(tiny_data)!r}')
+    assert 'size="tiny"' in code
+    code = code.replace('size="tiny"', f'size="tiny", data_dir={str(tiny_data)!r}')
     (tmp_path / "own.py").write_text(code + "print(len(data), tuple(positions.shape), tuple(mass.shape))\n")
     assert run(tmp_path, "own.py").split("\n")[-2] == "34 (2, 120, 9, 3) (9,)"

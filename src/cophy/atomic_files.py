@@ -1,11 +1,25 @@
 """Files that are there whole or not at all."""
 
+import errno
 import hashlib
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
+
+FULL = 1 << 20  # bytes; ours: with less left, what was not written is taken to be for want of space
+
+
+def check_space(path: Path) -> None:
+    """Of a file that a library writes, which may cut it, or end the process, without a word.
+
+    Raises:
+        OSError: The disk is full.
+    """
+    if shutil.disk_usage(path.parent).free < FULL:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
 def write_atomically(path: Path, content: bytes) -> None:

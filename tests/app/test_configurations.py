@@ -145,7 +145,7 @@ MISTAKES = {
     "+model.hiden_dim=32": "model.hiden_dim: there is no such key",
     "scenario=null": "a group (scenario=null) takes the name of a file in conf/",
     "split=[3]": "a group (split=[3]) takes the name of a file in conf/",
-    "size.num_experiments=${data_dir}": "size.num_experiments=data: here is a dict[str, dict[str, int]]",
+    "size.num_experiments=${data_dir}": ": here is a dict[str, dict[str, int]]",
     "+modle=3": "modle: there is no such key",
     "+scenario.solver.steps=3": "scenario.solver.steps: there is no such key",
     "+trainer.max_epoch=3": "unexpected keyword argument 'max_epoch'",

@@ -15,6 +15,7 @@ REFUSED = [  # what is said, and what has to be in the answer
     ("trainer.accelerator=foo", "trainer: You selected an invalid accelerator name"),
     ("trainer.accelerator=cuda", "trainer: "),
     ("trainer.devices=0", "trainer: "),
+    ("trainer.devices=1000", "trainer.devices=1000 starts as many processes"),
     ("trainer.devices=abc", "trainer: "),
     ("trainer.devices=[]", "trainer: "),
     ("trainer.precision=foo", "trainer: Precision 'foo' is invalid"),

@@ -15,11 +15,12 @@ from typing import Any
 
 from hydra._internal import defaults_list
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from cophy.app import key_help  # noqa: F401  the resolver of help texts
 from cophy.app.composition import CONF
@@ -113,9 +114,7 @@ def explain(error: BaseException) -> str:
     if slurm := _of_slurm(error):
         return slurm
     if _is_of_choices(error):
-        return (
-            f"a group ({', '.join(_groups_given())}) takes the name of a file in conf/, or names in brackets: {error}"
-        )
+        return f"a group ({', '.join(_no_names())}) takes the name of a file in conf/, or names in brackets: {error}"
     if file := IN_A_FILE.match(str(error)):
         return _explain_file(*file.group(1, 2, 3))
     if choice := WITHOUT_GRIDS.match(str(error)):
@@ -123,6 +122,9 @@ def explain(error: BaseException) -> str:
     if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
         return _explain_choice(error.missing_cfg_file, error.options)
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+    if isinstance(cause, MissingMandatoryValue):
+        needed = OmegaConf.missing_keys(cause.parent_node) if cause.parent_node is not None else {str(cause.full_key)}
+        return f"{'=, '.join(sorted(needed))}= has to be given; --help says what it is"
     if isinstance(cause, OmegaConfBaseException) and cause.key is not None:
         what = (cause.msg or str(cause)).splitlines()[0]
         return f"{cause.full_key or cause.key}: {what}{_suggest_key(str(cause.key), cause.parent_node)}"
@@ -135,9 +137,16 @@ def _is_of_choices(error: BaseException) -> bool:
     return bool(frames) and frames[-1].filename == defaults_list.__file__ and not isinstance(error, HydraException)
 
 
-def _groups_given() -> list[str]:
-    words = [word.lstrip("+") for word in sys.argv[1:]]
-    return [word for word in words if "=" in word and (CONF / word.partition("=")[0]).is_dir()]
+def _no_names() -> list[str]:
+    """What groups are given on the command line that is no name, and no list of names."""
+    words = [word for word in sys.argv[1:] if not word.startswith("-")]
+    given = [each for each in OverridesParser.create().parse_overrides(words) if (CONF / each.key_or_group).is_dir()]
+    values = {str(each.input_line): each.value() for each in given}
+    return [line for line, value in values.items() if not all(isinstance(name, str) for name in _as_list(value))]
+
+
+def _as_list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
 
 
 def _of_slurm(error: BaseException) -> str:
@@ -149,7 +158,8 @@ def _of_slurm(error: BaseException) -> str:
 def _explain_file(group: str, name: str, what: str) -> str:
     if f"Key '{group}' not in" in what:
         return f"{group}={name}: its YAML must start with the line '# @package _global_'"
-    return f"{group}={name} does not go with this model: {what}"
+    every = "; ablation=full goes with every model" if group == "ablation" else ""
+    return f"{group}={name} does not go with this model: {what} (conf/{group}/{name}.yaml sets it{every})"
 
 
 def _explain_choice(file: str, options: Sequence[str]) -> str:
@@ -163,6 +173,8 @@ def _suggest_key(name: str, node: Any) -> str:
     """The nearest key beside it, or else further down: `max_epochs` is one of `trainer`."""
     if not OmegaConf.is_dict(node):
         return ""
+    if (CONF / name).is_dir():
+        return f" ({name}= chooses a file of conf/{name}; --help lists the keys)"
     if beside := _suggest(name, [str(key) for key in node]):
         return beside
     inner = {str(group): node._get_node(group) for group in node}

@@ -4,7 +4,6 @@ import errno
 import logging
 import multiprocessing
 import os
-import shutil
 import signal
 import sys
 import threading
@@ -20,13 +19,12 @@ from pathlib import Path
 from filelock import FileLock
 from tqdm import tqdm
 
-from cophy.atomic_files import appearing_whole
+from cophy.atomic_files import appearing_whole, check_space
 from cophy.dataset.store.hdf5_arrays import DamagedShardError
 from cophy.dataset.store.manifest import MANIFEST
 from cophy.dataset.store.shardset import ShardSet
 from cophy.errors import CophyError
 
-FULL = 1 << 20  # bytes; ours: with less left, a worker that died is taken to have died of that
 PATIENCE_S = 30  # until it is said that there is no first experiment yet
 log = logging.getLogger(__name__)
 GUARD = "`if __name__ == '__main__':`"
@@ -130,12 +128,12 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
                     told = True
                     log.warning("%s: none in %d s%s", shards.title, PATIENCE_S, shards.why_slow)
         except BrokenProcessPool as error:
-            if shutil.disk_usage(shards.directory).free < FULL:  # HDF5 can end a process that cannot write
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
-            unguarded = "" if done.value else f"; a script of your own begins with {GUARD}"
+            check_space(shards.directory / MANIFEST)  # HDF5 can end a process that cannot write
+            unguarded = (
+                "" if done.value else f"a script of your own has to begin with {GUARD}, which starts processes; else "
+            )
             raise CophyError(
-                "a worker process was killed (out of memory?): finished shards are kept, run again with fewer workers="
-                + unguarded
+                f"{unguarded}a worker process was killed (out of memory?): finished shards are kept, run again with fewer workers="
             ) from error
         except BaseException:
             for worker in multiprocessing.active_children():

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from cophy.atomic_files import check_space
 from cophy.errors import CophyError
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -17,6 +18,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     """Write an (H, W, 3) uint8 RGB picture as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
+        check_space(path)
         raise CophyError(f"{path} cannot be written")
 
 

@@ -118,9 +118,7 @@ def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figu
         if result.values["seeds"].any():
             drawn[f"table-{result.table.id}"] = figures.draw_bars(result)
     if empty and not show_all:
-        log.info(
-            terminal_tables.notice(f"{empty} of the paper's tables have nothing of ours yet: all=true shows them.")
-        )
+        log.info(terminal_tables.notice(f"{empty} tables have nothing of ours yet: all=true shows them."))
     return drawn
 
 

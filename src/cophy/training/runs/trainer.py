@@ -1,6 +1,7 @@
 """Lightning's Trainer as every run uses it: TensorBoard, the best and the last checkpoint, figures."""
 
 import logging
+import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ import lightning as L
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.accelerators import CPUAccelerator
 from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint, ModelSummary
 from lightning.pytorch.loggers import Logger
 
@@ -23,6 +25,7 @@ from cophy.training.runs.identity import Run
 from cophy.training.trained.checkpoints import Origin, WholeCheckpoints
 
 log = logging.getLogger(__name__)
+MOST_PER_CORE = 8  # processes of a run on CPUs; more would only fill the memory
 
 # the whole data set lies in memory and is sliced: Lightning's advice to add workers does not apply
 warnings.filterwarnings("ignore", ".*does not have many workers.*")
@@ -147,7 +150,10 @@ def check_arguments(arguments: dict[str, Any]) -> None:
         each.setLevel(logging.ERROR)
     try:
         with _explained(), warnings.catch_warnings(action="ignore"):
-            L.Trainer(logger=False, enable_checkpointing=False, **arguments)
+            made = L.Trainer(logger=False, enable_checkpointing=False, **arguments)
+        cores = os.cpu_count() or 1
+        if isinstance(made.accelerator, CPUAccelerator) and made.num_devices > MOST_PER_CORE * cores:
+            raise CophyError(f"trainer.devices={made.num_devices} starts as many processes; here are {cores} cores")
     finally:
         for each, level in zip(said, levels, strict=True):
             each.setLevel(level)

@@ -20,7 +20,7 @@ def check_resumable(ckpt: Path, origin: Origin) -> None:
         CophyError: It is no checkpoint, or of another training; the message names the keys that differ.
     """
     if not ckpt.is_file():
-        raise CophyError(f"ckpt={ckpt} is no file")
+        raise CophyError(f"ckpt={ckpt} is no file: a run keeps last.ckpt and best.ckpt in its checkpoints/")
     trained = _weights_depend_on(read_checkpoint(ckpt.read_bytes(), ckpt).origin)
     wanted = _weights_depend_on(origin)
     if differing := [key for key in sorted(trained.keys() | wanted.keys()) if trained.get(key) != wanted.get(key)]:

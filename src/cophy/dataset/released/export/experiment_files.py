@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from PIL import ImageColor
 
+from cophy.atomic_files import check_space
 from cophy.dataset.released.formats.columns import SEQUENCES
 from cophy.dataset.released.formats.cophy_tasks import TASKS, CoPhyTask
 from cophy.dataset.replay import do_operation_of
@@ -77,10 +78,12 @@ def _write_clip(path: Path, frames: np.ndarray, frames_per_second: int) -> None:
     size = (frames.shape[2], frames.shape[1])
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), frames_per_second, size)  # type: ignore[attr-defined]
     if not writer.isOpened():
+        check_space(path)
         raise CophyError(f"{path}: this OpenCV cannot write MPEG-4")
     for frame in frames:
         writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
     writer.release()
+    check_space(path)
 
 
 def _colors(experiment: Exported, sequence: int) -> str:
