@@ -27,8 +27,9 @@ from cophy.app.composition import CONF
 from cophy.errors import SAFE, CophyError
 from cophy.training.runs.identity import FAILURE
 
+OF_YOUR_OWN = " (a folder of your own: --config-dir)"  # what else a group can be given
 # how Hydra names a file of conf/ablation or conf/row that it cannot compose
-IN_A_FILE = re.compile(r"In '(ablation|row)/(\w+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)")
+IN_A_FILE = re.compile(r"In '(ablation|row)/([\w/]+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)")
 # and a choice of confounders= where the scenario's defaults name none
 WITHOUT_GRIDS = re.compile(
     r"Could not override 'confounders'\. No match in the defaults list\..*\+(confounders=\S+)", re.DOTALL
@@ -166,7 +167,7 @@ def _explain_choice(file: str, options: Sequence[str]) -> str:
     group, _, name = file.rpartition("/")
     choices = ", ".join(sorted(options))
     found = f"{group}={name} does not exist{_suggest(name, options)}; there are {choices}"
-    return f"{found} (a folder of your own: --config-dir)"
+    return f"{found}{OF_YOUR_OWN}"
 
 
 def _suggest_key(name: str, node: Any) -> str:

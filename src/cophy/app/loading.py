@@ -6,7 +6,7 @@ from typing import Any
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
-from cophy.app.cli import explain
+from cophy.app.cli import OF_YOUR_OWN, explain
 from cophy.app.composition import settings
 from cophy.app.datasets import experiments_of
 from cophy.app.schemas.commands import TrainConfig
@@ -78,7 +78,7 @@ def load(
     try:
         config: TrainConfig = settings("train", *(f"{key}={value}" for key, value in chosen.items()))
     except (HydraException, OmegaConfBaseException) as error:
-        raise CophyError(explain(error)) from error
+        raise CophyError(explain(error).removesuffix(OF_YOUR_OWN)) from None  # Python has no such option
     (experiments,) = experiments_of(config, [num_objects or config.split.train.num_objects])
     frames = experiments.frames(config.render) if pictures else None
     if frames is None:
