@@ -53,3 +53,23 @@ def test_refused_in_one_line_before_anything_is_made(word: str, said: str, tmp_p
     assert "Traceback" not in printed
     assert "Error executing job" not in printed
     assert not (tmp_path / "data").exists()
+
+
+NO_FOLDERS = [
+    ("look", "directory=", "directory= is empty"),
+    ("look", "directory=/proc/x", "/proc/x: No such file or directory"),
+    ("audit", "directory=/proc/x", "/proc/x: No such file or directory"),
+    ("export", "root=", "root= is empty"),
+    ("export", "root=/proc/x", "/proc/x: No such file or directory"),
+]
+
+
+@pytest.mark.parametrize(("command", "word", "said"), NO_FOLDERS)
+def test_what_can_be_no_folder_is_refused_before_anything_is_made(
+    command: str, word: str, said: str, tmp_path: Path
+) -> None:
+    printed = run(command, "scenario=collision", "size=tiny", f"data_dir={tmp_path / 'data'}", word, code=1)
+    assert printed.strip().splitlines() == [
+        f"src/{command}.py: {said}" + ": it names a folder" * said.endswith("empty")
+    ]
+    assert not (tmp_path / "data").exists()

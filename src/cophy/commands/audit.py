@@ -23,6 +23,7 @@ def main(cfg: DictConfig) -> None:
     settings = to_config(cfg, AuditConfig)
     if settings.source.is_generated:
         directory, pairs = Path(settings.directory), settings.replayed_pairs
+        directory.mkdir(parents=True, exist_ok=True)  # where that cannot be, it is said before anything is made
         failing = [
             line for s in generated_by(settings) for line in report_generated(s, directory, replayed_pairs=pairs)
         ]

@@ -21,12 +21,14 @@ def main(cfg: DictConfig) -> None:
     from cophy.dataset.released.export.exporter import export
 
     settings = to_config(cfg, ExportConfig)
+    root = Path(settings.root)
+    root.mkdir(parents=True, exist_ok=True)  # where that cannot be, it is said before anything is made
     for states in generated_by(settings):
         generation.ensure(states, workers=settings.workers)
         images = states.frames(settings.render) if settings.clips else None
         if images is not None:
             generation.ensure(images, workers=settings.workers)
-        export(states, images, Path(settings.root))
+        export(states, images, root)
 
 
 def run() -> None:

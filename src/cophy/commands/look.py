@@ -31,6 +31,7 @@ def main(cfg: DictConfig) -> None:
     sets = generated_by(settings)
     trained_on = (states for states in sets if states.spec.num_objects == settings.split.train.num_objects)
     states, directory = next(trained_on, sets[0]), Path(settings.directory)
+    directory.mkdir(parents=True, exist_ok=True)  # where that cannot be, it is said before anything is made
     generation.ensure(states, workers=settings.workers)
     spec, arrays = states.spec, states.load()
     if not 0 <= settings.experiment < spec.num_experiments:

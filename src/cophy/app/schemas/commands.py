@@ -44,8 +44,7 @@ class DataConfig:
 
     def __post_init__(self) -> None:
         _at_least(0, data_seed=self.data_seed)
-        if not self.data_dir:
-            raise ValueError("data_dir= is empty: it names the folder where data lie")
+        _check_folders(self)
         if not isinstance(self.scenario, SCENARIOS.get(self.scenario.name, Scenario)):
             raise ValueError(f"scenario.name={self.scenario.name} is the name of another scenario")
 
@@ -193,6 +192,9 @@ class PredictConfig:
     predictor: str = MISSING
     directory: str = MISSING
 
+    def __post_init__(self) -> None:
+        _check_folders(self)
+
 
 @dataclass
 class ReportConfig:
@@ -203,6 +205,15 @@ class ReportConfig:
     data_dir: str = MISSING
     directory: str = MISSING
     all: bool = False
+
+    def __post_init__(self) -> None:
+        _check_folders(self)
+
+
+def _check_folders(config: Any) -> None:
+    for key in ("data_dir", "directory", "outputs", "root"):
+        if getattr(config, key, None) == "":
+            raise ValueError(f"{key}= is empty: it names a folder")
 
 
 def _check_part(part: int, parts: int) -> None:
