@@ -56,10 +56,10 @@ def test_refused_in_one_line_before_anything_is_made(word: str, said: str, tmp_p
 
 
 NO_FOLDERS = [
-    ("look", "directory=", "directory= is empty"),
+    ("look", "directory=", "directory= is empty: it names a folder"),
     ("look", "directory=/proc/x", "/proc/x: No such file or directory"),
     ("audit", "directory=/proc/x", "/proc/x: No such file or directory"),
-    ("export", "root=", "root= is empty"),
+    ("export", "root=", "root= is empty: it names a folder"),
     ("export", "root=/proc/x", "/proc/x: No such file or directory"),
 ]
 
@@ -69,7 +69,6 @@ def test_what_can_be_no_folder_is_refused_before_anything_is_made(
     command: str, word: str, said: str, tmp_path: Path
 ) -> None:
     printed = run(command, "scenario=collision", "size=tiny", f"data_dir={tmp_path / 'data'}", word, code=1)
-    assert printed.strip().splitlines() == [
-        f"src/{command}.py: {said}" + ": it names a folder" * said.endswith("empty")
-    ]
+    (line,) = printed.strip().splitlines()
+    assert line.endswith(f"src/{command}.py: {said}")
     assert not (tmp_path / "data").exists()

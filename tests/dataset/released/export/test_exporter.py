@@ -1,5 +1,7 @@
 """What is exported has the released format, file by file, and reads back as what it was."""
 
+import errno
+import os
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -197,6 +199,17 @@ def test_an_export_goes_on_where_it_was_stopped(drawn: Any, tmp_path: Path) -> N
     assert (folder / "5" / "explanations.txt").exists()
     assert not list(folder.glob(".*.tmp"))
     assert (folder / "4" / "confounders.npy").stat().st_mtime_ns == kept
+
+
+def test_what_fails_leaves_nothing_half(drawn: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(file: Path, array: np.ndarray) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(file))
+
+    pictures = drawn("collision")
+    monkeypatch.setattr(np, "save", full)
+    with pytest.raises(OSError, match="No space left"):
+        export(pictures.states, pictures, tmp_path / "root")
+    assert not list((tmp_path / "root").rglob("*.tmp"))
 
 
 def test_states_alone_do_not_fill_up_an_export_with_clips(drawn: Any, tmp_path: Path) -> None:

@@ -113,6 +113,9 @@ def _pictures(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[str, 
 def _write_whole(path: Path, experiment: Exported) -> None:
     """A folder that is there whole or not at all."""
     temporary = path.with_name(f".{path.name}.tmp")
-    temporary.mkdir()
-    write_experiment(temporary, experiment)
-    os.replace(temporary, path)
+    try:
+        temporary.mkdir()
+        write_experiment(temporary, experiment)
+        os.replace(temporary, path)
+    finally:  # on failure it would keep a full disk full
+        shutil.rmtree(temporary, ignore_errors=True)
