@@ -99,7 +99,7 @@ class FrameDataModule(L.LightningDataModule):
         return self._loader(frames, batch_sampler=batches)
 
     def _loader(self, frames: FrameDataset, **batches: Any) -> DataLoader[FrameBatch]:
-        return BatchesWhenAsked(
+        return FrameLoader(
             frames,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
@@ -108,14 +108,18 @@ class FrameDataModule(L.LightningDataModule):
         )
 
 
-class BatchesWhenAsked(DataLoader[FrameBatch]):
-    """Workers begin with the first batch that is asked for.
+class FrameLoader(DataLoader[FrameBatch]):
+    """Workers begin with the first batch that is asked for, and their errors are as short as anybody's.
 
     Lightning opens a loader before it says in which epoch a training goes on: those batches were of the first epoch.
+    PyTorch puts the traceback of a worker into the message of its error.
     """
 
     def __iter__(self) -> Iterator[FrameBatch]:  # type: ignore[override]  # PyTorch promises its own class
-        yield from super().__iter__()
+        try:
+            yield from super().__iter__()
+        except CophyError as error:
+            raise CophyError(str(error).rpartition(f"{CophyError.__module__}.CophyError: ")[2].strip()) from error
 
 
 def _check_colors(experiments: ExperimentSet, arrays: dict[str, np.ndarray]) -> None:
