@@ -16,7 +16,7 @@ from cophy.study.study_settings import Limits, StudySettings
 from tests.conftest import tiny_spec
 
 GENEROUS = Limits(requests_per_second=10_000, people_per_minute=10_000)
-SMALL = StudySettings(seed=0, num_pairs=2, num_assignments=1, seconds=10, tolerance_s=3, resolution=64)
+SMALL = StudySettings(seed=0, num_pairs=2, num_assignments=1, seconds=10.0, tolerance_s=3.0, resolution=64)
 
 
 class Time:

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.study.judging import human_rows, judge, read_clicks
+from cophy.study.results.answer_file import read_clicks
+from cophy.study.results.judging import human_rows, judge
 from tests.study.conftest import Site, answer_to, take_one
 
 

@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 
 from cophy.study.answer_store import PERSON, AnswerStore
-from cophy.study.judging import human_rows, judge, read_clicks
 from cophy.study.pages.serving import OpenStudy
 from cophy.study.plan import Assignment
+from cophy.study.results.answer_file import read_clicks
+from cophy.study.results.judging import human_rows, judge
 from cophy.study.simulation.power import differences, people_needed, power_curve
 from cophy.study.simulation.strategies import MEAN_ERROR, STRATEGIES
 from cophy.study.simulation.visits import take_study

@@ -3,6 +3,7 @@
 import importlib.util
 import io
 import logging
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -54,37 +55,43 @@ def _data(settings: StudyConfig) -> States:
 def _serve(settings: StudyConfig, states: States) -> None:
     """Until it is interrupted."""
     from cophy.study.answer_store import PERSON, AnswerStore
-    from cophy.study.pages.serving import open_study, serve
+    from cophy.study.pages.serving import alone, listening, open_study, serve
 
-    directory = Path(settings.directory)
-    store = AnswerStore(directory / ANSWERS)
-    study = open_study(store, states, settings.split, settings.study, directory, kind=PERSON, workers=settings.workers)
-    log.info("study %s on http://%s:%d/; answers: %s", study.sessions.study, settings.host, settings.port, directory)
-    app = study.app(_welcome(settings), settings.limits)
-    serve(app, settings.host, settings.port, settings.trusted_proxies)
-    store.close()
+    directory, welcome = Path(settings.directory), _welcome(settings)
+    with listening(settings.host, settings.port) as listener, alone(directory / ANSWERS):
+        store = AnswerStore(directory / ANSWERS)
+        chosen = settings.split, settings.study, directory
+        study = open_study(store, states, *chosen, kind=PERSON, workers=settings.workers)
+        app = study.app(welcome, settings.limits)
+        host, port, *_ = listener.getsockname()
+        log.info("study %s on http://%s:%d/; answers: %s", study.sessions.study, host, port, directory)
+        serve(app, listener, settings.trusted_proxies)
+        store.close()
 
 
 def _export(settings: StudyConfig, states: States) -> None:
-    """answers.csv with a line per object of every answer; table.csv with the rows of Table 1."""
-    from cophy.study.judging import human_rows
+    """answers.csv with a line per object of every answer, participants.csv, and table.csv with the rows of Table 1."""
+    from cophy.study.results.judging import human_rows
 
     path = Path(settings.directory) / ANSWERS
     if not path.exists():
         raise CophyError(f"{path} does not exist: nobody took this study yet")
-    judged = _judged(path, settings, states)
+    people, judged = _judged(path, settings, states)
     rows = human_rows(judged)
-    for name, table in (("answers.csv", judged), ("table.csv", rows)):
+    for name, table in (("answers.csv", judged), ("participants.csv", people), ("table.csv", rows)):
         write_atomically(path.with_name(name), table.to_csv(index=False).encode())
-    said = "%s\n%d clicks in answers.csv, these rows in table.csv: %s"
-    log.info(said, rows.round(2).to_string(), len(judged), path.parent)
+    said = (
+        "%s\n%d clicks in answers.csv, %d participants and their codes in participants.csv, these rows in table.csv: %s"
+    )
+    told = "no answers but of practice yet" if rows.empty else rows.round(2).to_string()
+    log.info(said, told, len(judged), len(people), path.parent)
 
 
 def _simulate(settings: StudyConfig, states: States) -> None:
     """Simulated participants take the study; their answers have a file of their own, which is made anew."""
     from cophy.study.answer_store import AnswerStore
-    from cophy.study.judging import human_rows
     from cophy.study.pages.serving import open_study
+    from cophy.study.results.judging import human_rows
     from cophy.study.simulation.strategies import STRATEGIES
     from cophy.study.simulation.visits import take_study
 
@@ -102,7 +109,8 @@ def _simulate(settings: StudyConfig, states: States) -> None:
         seed = len(STRATEGIES) * settings.study.seed + number
         take_study(of_kind, app, strategy, participants=settings.participants, seed=seed)
     store.close()
-    log.info("%s\nanswers: %s", human_rows(_judged(path, settings, states)).round(2).to_string(), path)
+    _, judged = _judged(path, settings, states)
+    log.info("%s\nanswers: %s", human_rows(judged).round(2).to_string(), path)
 
 
 def _power(settings: StudyConfig, states: States) -> None:
@@ -112,7 +120,7 @@ def _power(settings: StudyConfig, states: States) -> None:
     path = Path(settings.directory) / SIMULATED
     if not path.exists():
         raise CophyError(f"{path} does not exist; it is made by: study.py simulate scenario={settings.scenario.name}")
-    judged = _judged(path, settings, states)
+    _, judged = _judged(path, settings, states)
     difference = differences(judged[judged["kind"] == LIKE_PEOPLE])
     if len(difference) < 2:
         raise CophyError(f"{path}: simulated participants of this study are missing; study.py simulate makes them")
@@ -122,21 +130,25 @@ def _power(settings: StudyConfig, states: States) -> None:
     draw_power(curve, difference, title).savefig(picture, format="png", dpi=110)
     write_atomically(path.with_name("power.csv"), curve.to_csv(index=False).encode())
     write_atomically(path.with_name("power.png"), picture.getvalue())
-    said = "%s\n80 %% of studies find the difference with about %.0f people. power.csv, power.png: %s"
-    log.info(said, curve.to_string(index=False), people_needed(curve), path.parent)
+    needed, most = people_needed(curve), curve["people"].max()
+    people = f"more than {most}" if math.isnan(needed) else f"about {needed:.0f}"
+    said = "%s\n80 %% of studies find the difference with %s people. power.csv, power.png: %s"
+    log.info(said, curve.to_string(index=False), people, path.parent)
 
 
-def _judged(path: Path, settings: StudyConfig, states: States) -> "pd.DataFrame":
-    """The clicks of this study in a file of answers."""
+def _judged(path: Path, settings: StudyConfig, states: States) -> "tuple[pd.DataFrame, pd.DataFrame]":
+    """The participants of this study in a file of answers, and their clicks."""
     from cophy.study.experiments import StudyExperiments
-    from cophy.study.judging import judge, read_clicks
+    from cophy.study.results.answer_file import read_clicks, read_participants
+    from cophy.study.results.judging import judge
 
     experiments = StudyExperiments(states, settings.split, settings.study)
-    return judge(read_clicks(path, experiments.study_id), experiments.scenes)
+    people = read_participants(path, experiments.study_id)
+    return people, judge(read_clicks(path, experiments.study_id), experiments.scenes)
 
 
-def _welcome(settings: StudyConfig) -> Path | None:
-    return None if settings.welcome is None else Path(settings.welcome)
+def _welcome(settings: StudyConfig) -> str | None:
+    return None if settings.welcome is None else Path(settings.welcome).read_text()
 
 
 def run() -> None:

@@ -7,7 +7,7 @@ answer_store: one SQLite file with participants, answers and clicks.
 sessions: where a participant is, and what may come next.
 experiments: the experiments of a study, and who sees which.
 scenes: what C shows of every object, and where objects end in the picture.
-judging: how far clicks are from the truth, and the rows of Table 1.
+results/: what came of a study: clicks, how far off they are, the rows of Table 1.
 pages/: what a browser is served.
 simulation/: simulated participants, and the power of a study.
 web/: the page itself (HTML, JavaScript, styles, the text of the first page).

@@ -16,7 +16,7 @@ from cophy.report.people.study_tables import of_people, study_tables
 from cophy.report.tables.filled_tables import fill
 from cophy.report.tables.paper_tables import paper_tables
 from cophy.study.answer_store import SCHEMA, AnswerStore
-from cophy.study.judging import human_rows
+from cophy.study.results.judging import human_rows
 from tests.conftest import tiny_spec
 
 MEASURES = {"rank_1": 10.0, "rank_2": 20.0, "rank_3": 60.0, "mean": 30.0}

@@ -162,3 +162,11 @@ def test_a_smaller_size_does_not_fill_what_the_larger_leaves_open() -> None:
     cells = fill(TABLES["blocktower"], pd.DataFrame([measured("mse", 0.2, "cophynet"), *tiny, failed])).cells()
     assert cells.loc["3→3", ["IN", "NPE"]].tolist() == ["— / 0.318", "— / 0.331"]
     assert fill(TABLES["blocktower"], pd.DataFrame(tiny)).cells().loc["3→3", "IN"].startswith("0.900")
+
+
+def test_failed_runs_alone_fill_no_number() -> None:
+    runs = pd.DataFrame([run("npe", error="boom")]).drop(columns="num_train")
+    assert fill(TABLES["blocktower"], runs).cells().loc["3→3", ["IN", "NPE"]].tolist() == [
+        "— / 0.318",
+        "failed / 0.331",
+    ]

@@ -13,7 +13,8 @@ import pandas as pd
 from cophy.errors import CophyError
 from cophy.report.choices import Choices
 from cophy.report.tables.terminal_tables import notice
-from cophy.study.judging import human_rows, judge, read_clicks
+from cophy.study.results.answer_file import read_clicks
+from cophy.study.results.judging import human_rows, judge
 from cophy.study.scenes import Scenes
 
 FILES = ("answers.sqlite", "simulated.sqlite")

@@ -132,7 +132,7 @@ def _choices(table: PaperTable) -> list[Choice]:
 
 def _of_one_size(runs: pd.DataFrame, table: PaperTable) -> tuple[pd.DataFrame, str]:
     """The runs of each scenario's largest size, and a sentence on the others, which saw other data."""
-    if runs.empty:
+    if "num_train" not in runs:  # none has a result
         return runs, ""
     found = pd.concat([select(runs, **choice.names) for choice in _choices(table) if not choice.people])
     finished = found[found["error"].isna()].sort_values("num_train")

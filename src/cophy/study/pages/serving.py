@@ -1,22 +1,30 @@
 """Everything a study needs, put together, and served."""
 
+import math
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import uvicorn
+from filelock import FileLock, Timeout
 from starlette.applications import Starlette
 
 from cophy.dataset.splits import Split
 from cophy.dataset.store.states import States
+from cophy.errors import CophyError
 from cophy.study.answer_store import AnswerStore
 from cophy.study.experiments import StudyExperiments
 from cophy.study.pages.browser_clips import Clips
 from cophy.study.pages.server import WEB, make_app
 from cophy.study.sessions import Sessions
-from cophy.study.study_settings import Limits, StudySettings
+from cophy.study.study_settings import SETTINGS, Limits, StudySettings
 
 MAX_CONNECTIONS = 500
 KEEP_ALIVE_S = 15
+READING_S = 10  # ours: what a task takes beside the time to click: a clip of 6 s, and to go on
 
 
 @dataclass(frozen=True)
@@ -27,9 +35,13 @@ class OpenStudy:
     experiments: StudyExperiments
     clips: Clips
 
-    def app(self, welcome: Path | None, limits: Limits) -> Starlette:
-        """Its pages; welcome: Markdown of the first one, None for the package's."""
-        text = (welcome or WEB / "text" / "welcome.md").read_text()
+    def app(self, welcome: str | None, limits: Limits) -> Starlette:
+        """Its pages; welcome: Markdown of the first one, None for the package's. {seconds} and {minutes} are filled in."""
+        text = (WEB / "text" / "welcome.md").read_text() if welcome is None else welcome
+        settings = self.experiments.settings
+        tasks = len(self.experiments.practice) + len(SETTINGS) * settings.num_assignments
+        minutes = math.ceil(tasks * (settings.seconds + READING_S) / 60)
+        text = text.replace("{seconds}", f"{settings.seconds:g}").replace("{minutes}", str(minutes))
         return make_app(self.sessions, self.experiments, self.clips, welcome=text, limits=limits)
 
 
@@ -70,19 +82,44 @@ def open_study(
     return OpenStudy(sessions, experiments, clips)
 
 
-def serve(app: Starlette, host: str, port: int, trusted_proxies: str) -> None:
+def listening(host: str, port: int) -> socket.socket:
+    """A socket that listens there.
+
+    Raises:
+        CophyError: Another program does, or the address is none of this machine's.
+    """
+    try:
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        why = os.strerror(error.errno) if error.errno is not None else str(error)
+        raise CophyError(f"host={host} port={port}: {why}; port={port + 1} may be free") from None
+
+
+@contextmanager
+def alone(answers: Path) -> Iterator[None]:
+    """While one process serves a file of answers, no other does: each would count participants for itself.
+
+    Raises:
+        CophyError: Another does.
+    """
+    answers.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(f"{answers}.lock", timeout=0):
+            yield
+    except Timeout:
+        raise CophyError(f"{answers} is being served by another process: directory= names another folder") from None
+
+
+def serve(app: Starlette, listener: socket.socket, trusted_proxies: str) -> None:
     """Until it is interrupted.
 
     Args:
         app: The pages.
-        host: Address to listen on.
-        port: Likewise.
+        listener: See `listening`.
         trusted_proxies: Whose X-Forwarded-* headers are believed.
     """
-    uvicorn.run(
+    config = uvicorn.Config(
         app,
-        host=host,
-        port=port,
         forwarded_allow_ips=trusted_proxies,
         limit_concurrency=MAX_CONNECTIONS,
         timeout_keep_alive=KEEP_ALIVE_S,
@@ -90,3 +127,5 @@ def serve(app: Starlette, host: str, port: int, trusted_proxies: str) -> None:
         server_header=False,
         log_config=None,
     )
+    with suppress(KeyboardInterrupt):  # it has shut down by then
+        uvicorn.Server(config).run(sockets=[listener])

@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from cophy.study.judging import REFERENCE_RESOLUTION
 from cophy.study.plan import Assignment
+from cophy.study.results.judging import REFERENCE_RESOLUTION
 from cophy.study.scenes import Scenes
 
 Pixels = dict[int, tuple[float, float]]  # slot -> x, y

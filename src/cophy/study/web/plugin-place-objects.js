@@ -19,7 +19,7 @@ const PAGE = `
     <p class="clock"><progress max="1" value="1"></progress><output></output></p>
     <ol class="objects"></ol>
     <p class="buttons">
-      <button class="undo" type="button">Undo</button>
+      <button class="undo" type="button" disabled>Undo</button>
       <button class="label" type="button" aria-pressed="false">Show names</button>
       <button class="done" type="button" disabled>Done</button>
     </p>
@@ -233,8 +233,11 @@ export class PlaceObjectsPlugin {
   async #compare(ends) {
     this.board.showCross(null);
     this.board.drawEnds(this.task.objects, this.clicks, ends);
-    this.part(".say").textContent = "Practice: the large circles show where the objects ended. Your marks are joined to them.";
-    this.part(".clock").hidden = true;
+    const marks = this.clicks.size ? " Your marks are joined to them." : "";
+    const over = this.#next() ? "Time is up. " : "";
+    this.part(".say").textContent = `${over}Practice: the large circles show where the objects ended.${marks}`;
+    this.part(".clock").hidden = this.part(".keys").hidden = true;
+    for (const item of this.part(".objects").children) item.classList.remove("next");
     this.part(".undo").hidden = this.part(".label").hidden = true;
     const button = this.part(".done");
     Object.assign(button, { disabled: false, textContent: "Continue" });

@@ -13,6 +13,7 @@ async function ask(path, body) {
     } catch (error) {
       if (pause === null) throw error;
     }
+    document.body.classList.toggle("offline", response === null);
     const busy = response === null || response.status === 429 || response.status >= 500;
     if (!busy || pause === null) return { status: response.status, said: await response.json() };
     await new Promise((done) => setTimeout(done, pause));

@@ -1,8 +1,5 @@
 """How far clicks are from where objects end, per answer and in the rows of Table 1."""
 
-import sqlite3
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 
@@ -15,22 +12,6 @@ COLUMNS = (
     *("participants", "answers", "missing"),
 )
 REFERENCE_RESOLUTION = 448  # paper Table 1: pixel errors are given at 448 x 448
-QUERY = """
-SELECT p.kind, p.number AS participant, a.position, a.practice, a.setting, a.experiment, c.slot, c.x, c.y, c.at_ms,
-    a.late, a.undone, a.names_shown, a.input, a.window_width, a.window_height, a.opened_at, a.begun_at, a.answered_at
-FROM participants p JOIN answers a ON a.participant = p.id JOIN clicks c USING (participant, position)
-WHERE p.study = ? ORDER BY p.kind, p.number, a.position, c.slot
-"""
-
-
-def read_clicks(path: Path, study: str) -> pd.DataFrame:
-    """One line per object of every answer of a study, x and y NaN where it was not clicked. The file is only read."""
-    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
-    try:
-        clicks = pd.read_sql_query(QUERY, connection, params=(study,))
-    finally:
-        connection.close()
-    return clicks.assign(x=clicks["x"].astype(float), y=clicks["y"].astype(float))
 
 
 def judge(clicks: pd.DataFrame, scenes: Scenes) -> pd.DataFrame:
