@@ -22,6 +22,17 @@ def check_space(path: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
+def read_plain(path: Path) -> bytes:
+    """What a file holds.
+
+    Raises:
+        OSError: It is not there, or no plain file: to open a pipe would wait for ever.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is no plain file", str(path))
+    return path.read_bytes()
+
+
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file whole or not at all."""
     with appearing_whole(path) as temporary:

@@ -1,5 +1,6 @@
 """Without a sound manifest nothing is read."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,14 @@ def test_a_damaged_manifest_is_named_with_its_remedy(finished: Path, tmp_path: P
     directory = copy(finished, tmp_path)
     (directory / MANIFEST).write_text(content)
     with pytest.raises(CophyError, match=r"manifest\.json is damaged .* delete it and run"):
+        States(SPEC, tmp_path).load()
+
+
+def test_a_pipe_in_its_place_is_named(finished: Path, tmp_path: Path) -> None:
+    directory = copy(finished, tmp_path)
+    (directory / MANIFEST).unlink()
+    os.mkfifo(directory / MANIFEST)
+    with pytest.raises(CophyError, match=r"manifest\.json is damaged \(it is no plain file\): delete it and run"):
         States(SPEC, tmp_path).load()
 
 

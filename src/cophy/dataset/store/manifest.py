@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from cophy.atomic_files import sha256, write_atomically
+from cophy.atomic_files import read_plain, sha256, write_atomically
 
 MANIFEST = "manifest.json"
 VERSIONS = ("cophy", "numpy", "pybullet", "h5py", "hdf5plugin", "opencv-python-headless")  # that bytes may depend on
@@ -26,9 +26,11 @@ def read_checksums(directory: Path, shards: Sequence[str]) -> dict[str, str] | N
     if not path.exists():
         return None
     try:
-        checksums = json.loads(path.read_bytes())["shards"]
+        checksums = json.loads(read_plain(path))["shards"]
         if set(checksums) != set(shards) or not all(isinstance(value, str) for value in checksums.values()):
             raise ValueError("its list of shards is not this dataset's")
+    except OSError as error:
+        raise DamagedManifestError(error.strerror) from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise DamagedManifestError(str(error)) from error
     return dict(checksums)
@@ -37,7 +39,7 @@ def read_checksums(directory: Path, shards: Sequence[str]) -> dict[str, str] | N
 def read_format(directory: Path) -> int | None:
     """The version of the format that a dataset says it has, or None where it does not say."""
     try:
-        found = json.loads((directory / MANIFEST).read_bytes())["configuration"]["format"]
+        found = json.loads(read_plain(directory / MANIFEST))["configuration"]["format"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return found if isinstance(found, int) else None

@@ -17,7 +17,7 @@ import torch
 from torch import nn
 
 import cophy
-from cophy.atomic_files import sha256, write_atomically
+from cophy.atomic_files import read_plain, sha256, write_atomically
 from cophy.training.runs.identity import Run
 from cophy.training.trained.checkpoints import Origin
 
@@ -164,7 +164,7 @@ def _write(checkpoints: Path, name: str, content: dict[str, Any]) -> None:
 
 def _read(checkpoints: Path, name: str) -> dict[str, Any]:
     try:
-        content = json.loads((checkpoints / name).read_bytes())
+        content = json.loads(read_plain(checkpoints / name))
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) and KEYS[name] <= content.keys() else {}

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from filelock import FileLock
 
-from cophy.atomic_files import write_atomically
+from cophy.atomic_files import read_plain, write_atomically
 from cophy.dataset.generation import progress_bar
 from cophy.dataset.released.export.experiment_files import Exported, write_experiment
 from cophy.dataset.released.export.exported_lists import as_text, exported_lists
@@ -79,14 +79,14 @@ def _claim(folder: Path, states: States, images: Images | None, splits: Path, li
     content = {"format": FORMAT_VERSION, "dataset": states.id, "pictures": pictures}
     marker = folder / MARKER
     try:
-        ours = json.loads(marker.read_bytes()) == content
+        ours = json.loads(read_plain(marker)) == content
     except (OSError, ValueError):
         ours = not folder.exists() or not os.listdir(folder)
     if not ours:
         wanted = f"{states.id} {'without pictures' if pictures is None else f'with {pictures}'}"
         raise CophyError(f"{folder} holds other data than {wanted}: choose another root=")
     for name, rows in lists.items():
-        if (splits / name).exists() and (splits / name).read_bytes() != as_text(rows):
+        if (splits / name).exists() and read_plain(splits / name) != as_text(rows):
             raise CophyError(f"{splits / name} is a list of other data: choose another root=")
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(marker, (json.dumps(content) + "\n").encode())
