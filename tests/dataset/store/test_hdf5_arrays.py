@@ -1,5 +1,6 @@
 """Files of unknown origin: nothing but plain arrays of the expected shape is read."""
 
+import errno
 from pathlib import Path
 
 import h5py
@@ -51,3 +52,14 @@ def test_a_file_made_of_other_files_is_damage(tmp_path: Path) -> None:
         np.testing.assert_array_equal(stored["mass"][()], ARRAYS["mass"])
     with pytest.raises(DamagedShardError, match="made of other files"), reading(path, FIELDS, {"states_sha256": "b"}):
         pass
+
+
+def test_a_disk_that_is_full_as_hdf5_closes_a_file_is_named(tmp_path: Path) -> None:
+    said = (
+        "Can't decrement id ref count (file write failed: filename = 'x', errno = 28, error message = 'No space left')"
+    )
+    with pytest.raises(OSError, match="No space left") as raised, creating(tmp_path / "shard.h5", FIELDS, {}):
+        raise RuntimeError(said)
+    assert raised.value.errno == errno.ENOSPC
+    with pytest.raises(RuntimeError, match="no write intent"), creating(tmp_path / "shard.h5", FIELDS, {}):
+        raise RuntimeError("no write intent on file")

@@ -1,6 +1,8 @@
 """Arrays of a shard: what they look like, and how they are written to an HDF5 file and read from one safely."""
 
+import errno
 import io
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -72,16 +74,24 @@ def creating(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Itera
         path: of the file.
         fields: of its arrays.
         attributes: of the file.
+
+    Raises:
+        OSError: The disk is full.
     """
-    with h5py.File(path, "w", libver=OLDEST_FORMAT) as file:
-        file.attrs.update(attributes)
-        arrays = {
-            name: file.create_dataset(name, field.shape, field.dtype, track_times=False, **field.storage)
-            for name, field in fields.items()
-        }
-        for name, field in fields.items():
-            arrays[name].attrs.update(field.attributes())
-        yield arrays
+    try:
+        with h5py.File(path, "w", libver=OLDEST_FORMAT) as file:
+            file.attrs.update(attributes)
+            arrays = {
+                name: file.create_dataset(name, field.shape, field.dtype, track_times=False, **field.storage)
+                for name, field in fields.items()
+            }
+            for name, field in fields.items():
+                arrays[name].attrs.update(field.attributes())
+            yield arrays
+    except RuntimeError as error:  # of HDF5, where it cannot write at the end what it still holds
+        if f"errno = {errno.ENOSPC}," in str(error):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
+        raise
 
 
 @contextmanager
