@@ -10,8 +10,12 @@ from cophy.training.trained.network import build_network
 from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, Batch, Inputs, Prediction, Targets
 
 ABLATIONS = ("full", "static_gating", "mlp", "single_step", "feedforward", "gt_confounders")
+ALONGSIDE = (
+    "alongside",
+    *(f"alongside_without_{part}" for part in ("replay", "impulses", "pair_memory")),
+)
 INTERACTION_NETWORKS = ("in", "npe", "in gt_confounders", "npe gt_confounders")
-OTHERS = (*INTERACTION_NETWORKS, "copy_b", "copy_c", "alongside")
+OTHERS = (*INTERACTION_NETWORKS, "copy_b", "copy_c", *ALONGSIDE)
 SEES_LOOKS = ("model.object_type=true", "model.pose=true")
 
 

@@ -9,7 +9,7 @@ from torch import nn
 from cophy.models.baselines import CopyB, CopyC
 from cophy.training.losses import position_loss, stability_loss
 from cophy.types import Batch, Inputs, map_tensors, take
-from tests.models.networks import ABLATIONS, OTHERS, build, permuted, present
+from tests.models.networks import ABLATIONS, ALONGSIDE, OTHERS, build, permuted, present
 
 
 @pytest.fixture(params=[*(name for name in ABLATIONS if name != "mlp"), *OTHERS])
@@ -62,7 +62,7 @@ def test_an_experiment_does_not_depend_on_its_batch(any_network: nn.Module, inpu
     )
 
 
-@pytest.mark.parametrize("choice", [*ABLATIONS, "in", "npe", "in gt_confounders", "alongside"])
+@pytest.mark.parametrize("choice", [*ABLATIONS, "in", "npe", "in gt_confounders", *ALONGSIDE])
 def test_every_parameter_gets_a_gradient(choice: str, tower_batch: Batch) -> None:
     network = build(choice)
     prediction = network(tower_batch.inputs)
@@ -82,7 +82,7 @@ def test_what_never_sees_ab_cannot_tell_twins_apart(choice: str, inputs: Inputs)
     torch.testing.assert_close(position[::2], position[1::2])
 
 
-@pytest.mark.parametrize("ablation", ["full", "static_gating", "mlp", "single_step", "alongside"])
+@pytest.mark.parametrize("ablation", ["full", "static_gating", "mlp", "single_step", *ALONGSIDE])
 def test_counterfactual_models_read_ab(ablation: str, inputs: Inputs) -> None:
     position = build(ablation)(inputs).position
     assert (position[::2] - position[1::2]).abs().max() > 1e-6

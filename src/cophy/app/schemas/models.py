@@ -43,13 +43,16 @@ class CoPhyNetConfig:
 
 @dataclass
 class AlongsideConfig:
-    """cophy.models.alongside.Alongside, which explains its arguments."""
+    """cophy.models.alongside.alongside.Alongside, which explains its arguments."""
 
-    _target_: str = "cophy.models.alongside.Alongside"
+    _target_: str = "cophy.models.alongside.alongside.Alongside"
     hidden_dim: int = MISSING
     edge_layers: int = MISSING
     temperature: float = MISSING
     arena_half_width: float | None = MISSING
+    replay: bool = MISSING
+    impulses: bool = MISSING
+    pair_memory: bool = MISSING
     object_type: bool = MISSING
     pose: bool = MISSING
 
