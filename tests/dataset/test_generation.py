@@ -118,7 +118,7 @@ def test_a_pipe_in_the_place_of_a_shard_is_damage(finished: Path, tmp_path: Path
     path = States(SPEC, tmp_path).path(1)
     path.unlink()
     os.mkfifo(path)
-    with pytest.raises(CophyError, match="it is a pipe"):
+    with pytest.raises(CophyError, match="it is no plain file"):
         States(SPEC, tmp_path).load()
     generate(tmp_path, workers=1)
     assert digests(directory) == digests(finished)

@@ -1,6 +1,7 @@
 """Files of unknown origin: nothing but plain arrays of the expected shape is read."""
 
 import errno
+import os
 from pathlib import Path
 
 import h5py
@@ -13,12 +14,15 @@ FIELDS = {"mass": Field((2, 4), "<f4"), "cell": Field((2,), "|u1")}
 ARRAYS = {"mass": np.arange(8, dtype="f4").reshape(2, 4), "cell": np.array([3, 1], dtype="u1")}
 
 
-@pytest.mark.parametrize("fault", ["missing", "external", "soft link", "shape", "type", "cut off"])
+@pytest.mark.parametrize("fault", ["missing", "external", "soft link", "shape", "type", "cut off", "pipe"])
 def test_what_is_no_plain_array_is_damage(tmp_path: Path, fault: str) -> None:
     path = tmp_path / "shard.h5"
     path.write_bytes(encode(ARRAYS, FIELDS, {}))
     if fault == "cut off":
         path.write_bytes(path.read_bytes()[:100])
+    elif fault == "pipe":
+        path.unlink()
+        os.mkfifo(path)
     else:
         with h5py.File(path, "r+") as file:
             del file["mass"]
@@ -30,7 +34,7 @@ def test_what_is_no_plain_array_is_damage(tmp_path: Path, fault: str) -> None:
                 file.create_dataset("mass", shape=(10**9, 4), dtype="f4", chunks=(1000, 4))
             elif fault == "type":
                 file.create_dataset("mass", shape=(2, 4), dtype="f8")
-    with pytest.raises(DamagedShardError, match=r"truncated|mass"), reading(path, FIELDS, {}):
+    with pytest.raises(DamagedShardError, match=r"truncated|mass|no plain file"), reading(path, FIELDS, {}):
         pass
 
 

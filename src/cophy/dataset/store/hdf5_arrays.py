@@ -108,6 +108,7 @@ def reading(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterat
     Raises:
         DamagedShardError: something is missing, cut off, or not what was expected, also while arrays are read.
     """
+    check_plain(path)
     try:
         with h5py.File(path, "r") as file:
             if any(file.attrs[name] != value for name, value in attributes.items()):
@@ -115,6 +116,16 @@ def reading(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterat
             yield {name: _array_in(file, name, field) for name, field in fields.items()}
     except (OSError, KeyError, RuntimeError) as error:
         raise DamagedShardError(" ".join(str(error).split())) from error
+
+
+def check_plain(path: Path) -> None:
+    """Before a file is opened: to open a pipe would wait for ever.
+
+    Raises:
+        DamagedShardError: it is there, and no plain file.
+    """
+    if path.exists() and not path.is_file():
+        raise DamagedShardError("it is no plain file")
 
 
 def _array_in(file: h5py.File, name: str, field: Field) -> h5py.Dataset:
@@ -136,6 +147,7 @@ def attribute(path: Path, name: str) -> str | None:
     Raises:
         DamagedShardError: it is no HDF5 file.
     """
+    check_plain(path)
     try:
         with h5py.File(path, "r") as file:
             found = file.attrs.get(name)

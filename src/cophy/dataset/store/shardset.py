@@ -12,7 +12,7 @@ import numpy as np
 
 from cophy.atomic_files import sha256
 from cophy.dataset.store import manifest
-from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, attribute, reading
+from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, attribute, check_plain, reading
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
@@ -172,8 +172,7 @@ class ShardSet(ABC):
         return [self.path(shard) for shard in range(self.spec.num_shards)]
 
     def _compare(self, shard: int, checksum: str | None) -> None:
-        if self.path(shard).is_fifo():  # to open it would wait for ever
-            raise DamagedShardError("it is a pipe")
+        check_plain(self.path(shard))
         try:
             found = None if checksum is None else sha256(self.path(shard))
         except OSError as error:
