@@ -63,11 +63,13 @@ def test_what_was_refused_before_it_began_does_not_count(tmp_path: Path, caplog:
     assert "refused before they began, and do not count: 1." in caplog.text
 
 
-def test_only_runs_in_their_own_place_are_read(tmp_path: Path) -> None:
+def test_only_runs_in_their_own_place_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
     for directory in (PLACE, Path("demo") / PLACE, Path("blocktower/3to3/in/full/ground_truth/seed0")):
         leave(tmp_path / directory, json.dumps(content()))
     runs = read_runs(tmp_path, lambda names: {"model": {"a": 1}})
     assert list(runs["directory"]) == [tmp_path / PLACE]
+    assert "that do not lie where train.py puts them (hydra.run.dir=), and are not read: 1." in caplog.text.replace("\n", " ")
     assert runs.iloc[0][["mse", "mse_low", "mse_high", "epochs"]].tolist() == [0.2, 0.1, 0.3, 80]
     assert read_runs(tmp_path, lambda names: {"model": {"a": 2}}).empty
 

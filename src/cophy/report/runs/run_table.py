@@ -59,6 +59,9 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
         log.warning(notice(f"{said} ({reason}): {'; '.join(names)}."))
     if refused:
         log.info(notice(f"Runs that were refused before they began, and do not count: {refused}."))
+    if elsewhere := len(set(outputs.rglob(METRICS)).difference(*(outputs.glob(place) for place in places))):
+        said = f"Runs below {outputs} that do not lie where train.py puts them (hydra.run.dir=), and are not read: {elsewhere}."
+        log.info(notice(said))
     return pd.DataFrame(lines)
 
 
