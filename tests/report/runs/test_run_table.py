@@ -69,7 +69,7 @@ def test_only_runs_in_their_own_place_are_read(tmp_path: Path, caplog: pytest.Lo
         leave(tmp_path / directory, json.dumps(content()))
     runs = read_runs(tmp_path, lambda names: {"model": {"a": 1}})
     assert list(runs["directory"]) == [tmp_path / PLACE]
-    assert "that do not lie where train.py puts them (hydra.run.dir=), and are not read: 1." in caplog.text.replace("\n", " ")
+    assert "do not lie where train.py puts them (hydra.run.dir=), and are not read: 1." in " ".join(caplog.text.split())
     assert runs.iloc[0][["mse", "mse_low", "mse_high", "epochs"]].tolist() == [0.2, 0.1, 0.3, 80]
     assert read_runs(tmp_path, lambda names: {"model": {"a": 2}}).empty
 
