@@ -12,7 +12,7 @@ from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, Batch, Inputs, Predicti
 ABLATIONS = ("full", "static_gating", "mlp", "single_step", "feedforward", "gt_confounders")
 ALONGSIDE = (
     "alongside",
-    *(f"alongside_without_{part}" for part in ("replay", "impulses", "pair_memory")),
+    *(f"alongside_no_{part}" for part in ("replay", "impulses", "pair_memory")),
 )
 INTERACTION_NETWORKS = ("in", "npe", "in gt_confounders", "npe gt_confounders")
 OTHERS = (*INTERACTION_NETWORKS, "copy_b", "copy_c", *ALONGSIDE)
