@@ -50,6 +50,7 @@ class AlongsideConfig:
     edge_layers: int = MISSING
     temperature: float = MISSING
     arena_half_width: float | None = MISSING
+    max_step: float = MISSING
     replay: bool = MISSING
     impulses: bool = MISSING
     pair_memory: bool = MISSING
@@ -61,6 +62,8 @@ class AlongsideConfig:
             raise ValueError("model: hidden_dim must be at least 1, edge_layers at least 2")
         if self.temperature <= 0:
             raise ValueError(f"model.temperature={self.temperature} must be positive")
+        if self.max_step <= 0:
+            raise ValueError(f"model.max_step={self.max_step} must be positive")
 
 
 @dataclass

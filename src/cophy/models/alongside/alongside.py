@@ -11,13 +11,15 @@ CoPhyNet squeezes AB into one vector per object. Here the decoder reads AB step 
     v_{t+1} = m'_t · (AB's motion in the next step) + (1 - m'_t) · (k_t v_t + J_t + c'_t)
     o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t
 
-The launch v_0 is AB's first motion, corrected.
+The launch v_0 is AB's first motion, corrected. Once trained, it lets no object move farther in a step than `max_step`: with
+more objects than it has seen, a rollout can run away.
 """
 
 import torch
-from torch import nn
+from jaxtyping import Float
+from torch import Tensor, nn
 
-from cophy.models.alongside.contacts import CONTACT_DIM, Contacts
+from cophy.models.alongside.contacts import CONTACT_DIM, Contacts, length
 from cophy.models.alongside.history import History, PairMemory
 from cophy.models.alongside.own import Own
 from cophy.models.appearance import Appearance
@@ -43,6 +45,7 @@ class Alongside(nn.Module):
         edge_layers: int,
         temperature: float,
         arena_half_width: float | None,
+        max_step: float,
         replay: bool,
         impulses: bool,
         pair_memory: bool,
@@ -56,6 +59,7 @@ class Alongside(nn.Module):
             edge_layers: Linear layers of messages, at least 2.
             temperature: λ of the gate.
             arena_half_width: From the middle to each of four walls, metres; None where there are none.
+            max_step: How far an object can move in a step once this is trained, metres.
             replay: Whether a step can be taken over from AB; without, m and m' are 0.
             impulses: Whether contacts push; without, J is 0.
             pair_memory: Whether the decoder sees r.
@@ -63,7 +67,7 @@ class Alongside(nn.Module):
             pose: Whether it sees how each object is turned at t = 0.
         """
         super().__init__()
-        self.temperature, self.replay = temperature, replay
+        self.temperature, self.max_step, self.replay = temperature, max_step, replay
         self.own = Own(arena_half_width, Appearance(object_type, pose))
         self.contacts = Contacts()
         self.history = History(self.own, self.contacts, hidden_dim, edge_layers)
@@ -117,7 +121,14 @@ class Alongside(nn.Module):
                 velocity = velocity + impulse.sum(dim=1)
             displacement = mixture * motion[:, step] + (1 - mixture) * displacement
             velocity = next_mixture * after[:, step] + (1 - next_mixture) * velocity
+            if not self.training:
+                velocity, displacement = (no_longer_than(self.max_step, each) for each in (velocity, displacement))
             position = position + gate(logit, self.temperature) * displacement
             positions.append(position)
             logits.append(logit)
         return Prediction(torch.stack(positions, dim=1), torch.stack(logits, dim=1).squeeze(-1))
+
+
+def no_longer_than(limit: float, vectors: Float[Tensor, "*any 3"]) -> Float[Tensor, "*any 3"]:
+    """The same vectors, but the longer ones are cut to the limit."""
+    return vectors * (limit / length(vectors)).clamp(max=1)

@@ -1,0 +1,28 @@
+"""What keeps rollouts of `alongside` from running away."""
+
+from dataclasses import replace
+
+import torch
+
+from cophy.models.alongside.alongside import no_longer_than
+from cophy.types import Inputs
+from tests.models.networks import build, random_batch
+
+
+def test_vectors_are_cut_to_the_limit_and_shorter_ones_kept() -> None:
+    vectors = torch.tensor([[3.0, 4.0, 0.0], [0.3, 0.4, 0.0], [0.0, 0.0, 0.0]])
+    cut = no_longer_than(1.0, vectors)
+    torch.testing.assert_close(cut, torch.tensor([[0.6, 0.8, 0.0], [0.3, 0.4, 0.0], [0.0, 0.0, 0.0]]))
+
+
+def test_objects_go_nowhere_in_leaps_once_it_is_trained() -> None:
+    network, inputs = build("alongside", "model.max_step=0.5"), random_batch(4, [4, 3, 2]).inputs
+    far = replace(inputs, observed=100 * inputs.observed)
+    assert longest_step(network.train()(far).position, inputs) > 10
+    assert longest_step(network.eval()(far).position, inputs) <= 0.5 + 1e-4
+
+
+def longest_step(position: torch.Tensor, inputs: Inputs) -> float:
+    """Metres, of objects that are there."""
+    path = torch.cat([inputs.initial[:, None], position.detach()], dim=1)
+    return float(((path[:, 1:] - path[:, :-1]).norm(dim=-1) * inputs.presence[:, None]).max())
