@@ -15,7 +15,7 @@ from speed_loading import derendering_step, epoch, epoch_of_towers, frame_data
 from speed_training import network, training_step
 from torch.profiler import ProfilerActivity, profile
 
-from cophy.dataset.store.images import Images
+from cophy.dataset.pictures.images import Images
 from cophy.scenario.physics.simulator import import_pybullet
 from cophy.scenario.rendering.frames import MODALITIES, Backend, RenderSettings
 

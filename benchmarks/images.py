@@ -15,7 +15,7 @@ from rich.table import Table
 from speed_generation import draw, made_states
 
 from cophy.app.schemas.registration import register
-from cophy.dataset.store.images import Images
+from cophy.dataset.pictures.images import Images
 from cophy.drawing.close_up import render_sequence
 from cophy.scenario.rendering.frames import MODALITIES, Backend, Frames, RenderSettings
 from cophy.scenario.rendering.renderer import Renderer

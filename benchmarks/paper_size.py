@@ -12,8 +12,8 @@ import pandas as pd
 from tqdm import tqdm
 
 from cophy.app.composition import settings
+from cophy.dataset.pictures.images import Images
 from cophy.dataset.spec import DatasetSpec, Size
-from cophy.dataset.store.images import Images
 from cophy.dataset.store.shardset import ShardSet
 from cophy.dataset.store.states import States
 from cophy.scenario import Scenario

@@ -1,4 +1,4 @@
-"""Positions and presence in every frame, as a de-renderer sees them: python src/derender.py scenario=balls size=small"""
+"""Positions and presence in frames, as a de-renderer sees them: python src/derender.py scenario=balls size=small"""
 
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from cophy.app.composition import CONF, to_config
 from cophy.app.datasets import experiments_of
 from cophy.app.schemas.commands import DerenderConfig
 from cophy.app.schemas.registration import register
+from cophy.dataset.pictures.needed_frames import FRAMES
 
 register()
 
@@ -28,7 +29,8 @@ def main(cfg: DictConfig) -> None:
         counts = set(settings.split.counts(settings.num_objects))
         derenderer = find_derenderer(Path(settings.outputs), settings.scenario.name, counts, settings.split.name)
     part, parts = settings.part, settings.parts
-    derender(chosen, derenderer, part=part, parts=parts, workers=settings.workers)
+    needed = FRAMES[settings.frames]
+    derender(chosen, derenderer, needed, part=part, parts=parts, workers=settings.workers)
 
 
 def run() -> None:

@@ -11,6 +11,7 @@ from cophy.app.datasets import generated_by
 from cophy.app.schemas.commands import GenerateConfig
 from cophy.app.schemas.registration import register
 from cophy.dataset import generation
+from cophy.dataset.pictures.needed_frames import FRAMES
 from cophy.dataset.store.shardset import ShardSet
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
@@ -35,7 +36,7 @@ def asked_for(states: States, settings: GenerateConfig) -> Iterator[ShardSet]:
     """The states, and what is made of them."""
     yield states
     if settings.render.modalities:
-        yield states.frames(settings.render)
+        yield states.frames(settings.render, FRAMES[settings.frames])
     if settings.model is not None:
         yield states.forecasts(settings.model.settings)
 

@@ -9,7 +9,8 @@ replay: scenes and do-operations of stored experiments, to be looked at or simul
 state_features: what follows from stored states: outcomes, stable objects, visible axes.
 stored_towers: stored towers as statics sees them.
 difficulty: how hard each experiment is.
-store/: what is on disk: states, pictures, estimates of a de-renderer, forecasts of the oracles.
+store/: what is on disk: states, forecasts of the oracles, and how shards are written and read.
+pictures/: pictures of the states, all or those that are looked at, and what a de-renderer sees in them.
 cards/: what a dataset says of itself, to people and to programs.
 released/: datasets of others, read where they lie; and export in their format.
 audit/: is a dataset what it claims to be?

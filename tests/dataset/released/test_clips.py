@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cophy.dataset.feed.frame_dataset import FrameDataset
-from cophy.dataset.store.estimates import Estimates
+from cophy.dataset.pictures.estimates import Estimates
 from cophy.scenario.rendering.frames import Backend, RenderSettings
 from tests.dataset.released.indexing import LISTS, make, states
 from tests.dataset.released.trees import BALL_COLORS, CoPhyTree, filtered_tree
@@ -39,7 +39,7 @@ def test_frames_are_those_of_their_states(tmp_path: Path, source: str) -> None:
         assert abs(float(seen.image.float().mean()) - 8 * time) < 4
         np.testing.assert_array_equal(seen.position, arrays["states"][row, sequence, time, :, :3])
     assert set(frames.pairs.tolist()) == {0, 1}
-    estimates = Estimates(opened.frames(RENDER), Brightness())
+    estimates = Estimates(opened, Brightness())
     estimates.directory.mkdir()
     estimates.write(estimates.path(0), 0, lambda count: None)
     estimates.write_manifest()

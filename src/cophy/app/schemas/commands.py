@@ -10,6 +10,7 @@ from omegaconf import MISSING
 
 from cophy.app.schemas.models import OracleConfig
 from cophy.app.schemas.trainer_arguments import TrainerConfig
+from cophy.dataset.pictures.needed_frames import FRAMES
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
@@ -69,9 +70,13 @@ class RenderDataConfig(MakeDataConfig):
 
 @dataclass
 class GenerateConfig(RenderDataConfig):
-    """generate.py. seed: a short name of data_seed. model: None, or an oracle. part, parts: see `_check_part`."""
+    """generate.py. seed: a short name of data_seed. frames: which are rendered. model: None, or an oracle.
+
+    part, parts: see `_check_part`.
+    """
 
     seed: int = MISSING
+    frames: str = MISSING
     part: int = MISSING
     parts: int = MISSING
     model: Any = None
@@ -79,6 +84,7 @@ class GenerateConfig(RenderDataConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_part(self.part, self.parts)
+        _check_frames(self.frames)
         if not (self.model is None or isinstance(self.model, OracleConfig)):
             raise ValueError("model: only what an oracle says (model=oracle_feedforward) is kept beside data")
 
@@ -128,18 +134,20 @@ class ExportConfig(RenderDataConfig):
 class DerenderConfig(MakeDataConfig):
     """derender.py. derenderer: a checkpoint, None for the one that fits among the runs in `outputs`.
 
-    part, parts: see `_check_part`.
+    frames: which are looked at. part, parts: see `_check_part`.
     """
 
     source: Source = MISSING
     derenderer: str | None = None
     outputs: str = MISSING
+    frames: str = MISSING
     part: int = MISSING
     parts: int = MISSING
 
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_part(self.part, self.parts)
+        _check_frames(self.frames)
 
 
 @dataclass
@@ -214,6 +222,11 @@ def _check_folders(config: Any) -> None:
     for key in ("data_dir", "directory", "outputs", "root"):
         if getattr(config, key, None) == "":
             raise ValueError(f"{key}= is empty: it names a folder")
+
+
+def _check_frames(name: str) -> None:
+    if name not in FRAMES:
+        raise ValueError(f"frames={name} is not among {', '.join(FRAMES)}")
 
 
 def _check_part(part: int, parts: int) -> None:

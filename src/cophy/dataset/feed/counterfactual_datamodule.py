@@ -17,8 +17,9 @@ from cophy.dataset.feed.batches import to_batch, with_estimates
 from cophy.dataset.feed.confounder_features import confounder_features, confounder_statistics, standardised
 from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
 from cophy.dataset.feed.declared_inputs import DeclaredInputs
+from cophy.dataset.pictures.estimates import Estimates, Sees
+from cophy.dataset.pictures.needed_frames import INPUTS, TEST_INPUTS
 from cophy.dataset.splits import SPLITS, Split
-from cophy.dataset.store.estimates import Estimates, Sees
 from cophy.dataset.store.experiment_set import ExperimentSet
 from cophy.errors import CophyError
 from cophy.types import Batch
@@ -153,7 +154,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         """Those of a dataset, if one of its splits is seen through them."""
         if self.derenderer is None or experiments.id not in {self._set_of(split).id for split in self.estimated}:
             return None
-        return Estimates(experiments.frames(self.derenderer.render), self.derenderer)
+        return Estimates(experiments, self.derenderer, TEST_INPUTS if set(self.estimated) == {"test"} else INPUTS)
 
     def _load(self, experiments: ExperimentSet) -> Arrays:
         arrays, estimates = experiments.load(), self._estimates(experiments)
@@ -163,4 +164,4 @@ class CounterfactualDataModule(L.LightningDataModule):
             missing = (~arrays["clip"].all(axis=1)).sum()
             raise CophyError(f"{missing} experiments of {experiments.id} have no RGB clips to estimate positions from")
         rows = arrays.get("experiment", slice(None))
-        return arrays | {name: array[rows] for name, array in estimates.load().items()}
+        return arrays | {name: array[rows] for name, array in estimates.or_more().load().items()}

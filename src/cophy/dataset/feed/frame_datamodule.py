@@ -7,10 +7,12 @@ import lightning as L
 import numpy as np
 from torch.utils.data import DataLoader
 
+from cophy.dataset import generation
 from cophy.dataset.feed.batch_order import Share, in_order, shuffled
 from cophy.dataset.feed.frame_dataset import FrameBatch, FrameDataset
+from cophy.dataset.pictures.needed_frames import ChosenFrames
 from cophy.dataset.splits import SPLITS
-from cophy.dataset.store.experiment_set import ExperimentSet
+from cophy.dataset.store.experiment_set import ExperimentSet, FrameSource
 from cophy.errors import CophyError
 from cophy.scenario.rendering.frames import RenderSettings
 
@@ -19,7 +21,8 @@ class FrameDataModule(L.LightningDataModule):
     """Frames of several datasets of one scenario.
 
     Training and validation frames are of the training and validation parts of each dataset, also of one that the
-    split only tests on: a de-renderer has to know every number of objects.
+    split only tests on: a de-renderer has to know every number of objects. Only the frames that were chosen are rendered,
+    unless they are half of all or more: then the others are, too, for models look at them later.
 
     Attributes:
         train, val, test: The three splits, once `setup` was called.
@@ -68,20 +71,40 @@ class FrameDataModule(L.LightningDataModule):
     def prepare_data(self) -> None:
         """Generate and render what is missing."""
         for experiments in self.sets:
-            experiments.frames(self.render).ensure(workers=self.workers)
+            generation.ensure(experiments, workers=self.workers)
+        for pictures, _ in self._chosen()[0].sources:
+            pictures.ensure(workers=self.workers)
 
     def setup(self, stage: str | None = None) -> None:
         """Choose the frames of each split."""
         if hasattr(self, "train"):
             return
+        self.train, self.val, self.test = self._chosen()
+
+    def _chosen(self) -> list[FrameDataset]:
+        """The frames of each split, and the pictures that hold them."""
         sources = [(experiments.frames(self.render), experiments.load()) for experiments in self.sets]
         for experiments, (_, arrays) in zip(self.sets, sources, strict=True):
             _check_colors(experiments, arrays)
         counts = self.num_images, self.num_images // 10, self.num_images // 10
-        self.train, self.val, self.test = (
+        splits = [
             FrameDataset(sources, split=split, resolution=self.resolution).sample(count, self.data_seed)
             for split, count in zip(SPLITS, counts, strict=True)
-        )
+        ]
+        looked_at = np.concatenate([*(frames.index for frames in splits), splits[1].sequence_index(0)])
+        pictures = [self._pictures(at, looked_at[looked_at[:, 0] == at, 1:]) for at in range(len(sources))]
+        for frames in splits:
+            frames.sources = [(shown, arrays) for shown, (_, arrays) in zip(pictures, sources, strict=True)]
+        return splits
+
+    def _pictures(self, source: int, frames: np.ndarray) -> FrameSource:
+        """Pictures of one dataset in which (frame, 3) experiments, sequences and times are seen."""
+        experiments = self.sets[source]
+        every = 2 * experiments.spec.num_experiments * self.scenario.clock.num_frames
+        if 2 * len(frames) >= every:
+            return experiments.frames(self.render)
+        keys = f"model=derenderer num_images={self.num_images} data_seed={self.data_seed}"
+        return experiments.frames(self.render, ChosenFrames.to_train(frames, keys))
 
     def train_dataloader(self) -> DataLoader[FrameBatch]:
         batches = shuffled(self.train, self.batch_size, seed=self.seed, share=Share.of(self.trainer))

@@ -42,7 +42,7 @@ class FrameDataset(Dataset[FrameBatch]):
             split: train, val or test.
             resolution: Edge of the images in pixels; larger pictures are averaged down.
         """
-        self.sources, self.resolution = sources, resolution
+        self.sources, self.resolution = list(sources), resolution
         index = []
         for source, (pictures, arrays) in enumerate(sources):
             rows = np.flatnonzero(arrays["split"] == SPLITS.index(split))
@@ -79,10 +79,14 @@ class FrameDataset(Dataset[FrameBatch]):
     def sequence_of(self, item: int) -> FrameBatch:
         """All frames, in time, of the sequence that a frame is from."""
         whole = copy(self)
+        whole.index = self.sequence_index(item)
+        return default_collate([whole[time] for time in range(len(whole))])
+
+    def sequence_index(self, item: int) -> np.ndarray:
+        """(T, 4) where the frames of the sequence lie that a frame is from: source, experiment, sequence, time."""
         source, row, sequence, _ = self.index[item].tolist()
         num_frames = self.sources[source][0].states.spec.scenario.clock.num_frames
-        whole.index = np.array([(source, row, sequence, time) for time in range(num_frames)])
-        return default_collate([whole[time] for time in range(num_frames)])
+        return np.array([(source, row, sequence, time) for time in range(num_frames)])
 
     def position_statistics(self) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
         """Mean and standard deviation of the positions of present objects, metres."""

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from cophy.dataset import generation
+from cophy.dataset.pictures.needed_frames import ALL
 from cophy.dataset.released.formats.columns import SEQUENCES
 from cophy.dataset.released.released_spec import ReleasedSpec
 from cophy.dataset.released.untrusted_files import BrokenFileError, open_clip
@@ -15,9 +16,10 @@ from cophy.errors import CophyError
 
 
 class Clips:
-    """The pictures of released experiments, where they have some."""
+    """The pictures of released experiments, where they have some: always all, for which are tested on depends on the lists."""
 
     name = "rgb.mp4"
+    needed = ALL
 
     def __init__(self, states: ExperimentSet, spec: ReleasedSpec) -> None:
         self.states, self.spec = states, spec
@@ -30,10 +32,10 @@ class Clips:
         """Clips lie where they were released, and are not vouched for."""
 
     def sequences(self, shard: int) -> Iterator[Clip]:
-        """(experiment of the shard, sequence, RGB (T, R, R, 3)) of those that have a clip."""
+        """Every frame of what has a clip."""
         experiments, times = self.spec.experiments_of_shard(shard), range(self.spec.scenario.clock.num_frames)
         for row, sequence in np.argwhere(self.states.read(shard)["clip"]).tolist():
-            yield row, sequence, np.stack(list(self._decoded(experiments[row], sequence, times)))
+            yield row, sequence, np.array(times), np.stack(list(self._decoded(experiments[row], sequence, times)))
 
     def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
         """Reads (row of the arrays, sequence, time)."""

@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from cophy.dataset.pictures.needed_frames import ALL, NeededFrames
 from cophy.dataset.released import trust
 from cophy.dataset.released.clips import Clips
 from cophy.dataset.released.id_lists import read_lists
@@ -71,7 +72,7 @@ class ReleasedStates(ExperimentSet):
         lists = ", ".join(map(str, self.lists.paths))
         return f"its lists of ids are {lists}; what could not be read is named in {self.directory}"
 
-    def frames(self, render: RenderSettings) -> Clips:
+    def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> Clips:
         return Clips(self, self.spec)
 
     def forecasts(self, settings: OracleSettings) -> NoReturn:

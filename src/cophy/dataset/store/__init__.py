@@ -6,7 +6,5 @@ shardset: `ShardSet`, what all sets have in common: opening, reading, checking a
 experiment_set: `ExperimentSet`, experiments that were generated here or that others released; `FrameSource`, their pictures.
 experiment_arrays: which arrays a shard of states has, of which shape and type.
 states: `States`, the simulated experiments of a generated dataset.
-images: `Images`, rendered pictures of generated experiments.
-estimates: `Estimates`, what a trained de-renderer sees in every frame.
 forecasts: `OracleForecasts`, what the oracles say of the test experiments.
 """

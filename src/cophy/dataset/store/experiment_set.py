@@ -7,10 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
+from cophy.dataset.pictures.needed_frames import ALL, NeededFrames
 from cophy.dataset.store.shardset import ShardSet
 from cophy.scenario.rendering.frames import RenderSettings
 
-Clip = tuple[int, int, np.ndarray]  # experiment of a shard, sequence, RGB (T, R, R, 3) uint8
+Clip = tuple[int, int, np.ndarray, np.ndarray]  # experiment of a shard, sequence, times (N,), RGB (N, R, R, 3) uint8
 Reader = Callable[[int, int, int], np.ndarray]  # row of the arrays, sequence, time -> RGB (R, R, 3) uint8
 Pictures = Callable[[int], dict[str, np.ndarray]]  # row of the arrays -> both sequences, by modality
 
@@ -45,8 +46,13 @@ class ExperimentSet(ShardSet):
         """What a person does who finds too few experiments in it."""
 
     @abstractmethod
-    def frames(self, render: RenderSettings) -> "FrameSource":
-        """Pictures of the experiments; released ones are as they are, whatever `render` says."""
+    def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> "FrameSource":
+        """Pictures of the experiments; released ones are as they are, whatever `render` says.
+
+        Args:
+            render: How they are drawn.
+            needed: Which of them anybody looks at.
+        """
 
     @abstractmethod
     def forecasts(self, settings: OracleSettings) -> ShardSet:
@@ -74,7 +80,7 @@ class ExperimentSet(ShardSet):
 
 
 class FrameSource(Protocol):
-    """RGB of every frame of AB (sequence 0) and CD (1) of a set of experiments."""
+    """RGB of frames of AB (sequence 0) and CD (1) of a set of experiments: of those that are needed."""
 
     @property
     def states(self) -> ExperimentSet:
@@ -86,6 +92,11 @@ class FrameSource(Protocol):
         """What the frames are a function of, besides the experiments."""
         ...
 
+    @property
+    def needed(self) -> NeededFrames:
+        """Which frames there are."""
+        ...
+
     def ensure(self, *, workers: int) -> None:
         """Make what is missing, of the experiments too."""
         ...
@@ -95,7 +106,7 @@ class FrameSource(Protocol):
         ...
 
     def sequences(self, shard: int) -> Iterator[Clip]:
-        """The sequences of a shard's experiments, in their order; one without pictures is left out."""
+        """The needed frames of a shard's experiments, in their order; a sequence without any is left out."""
         ...
 
     def reader(self, arrays: dict[str, np.ndarray]) -> Reader:

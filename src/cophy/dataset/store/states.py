@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from cophy.dataset.cards.dataset_card import write_card
+from cophy.dataset.pictures.images import Images
+from cophy.dataset.pictures.needed_frames import ALL, NeededFrames
 from cophy.dataset.spec import FORMAT_VERSION, DatasetSpec
 from cophy.dataset.splits import SPLITS
 from cophy.dataset.store.experiment_arrays import experiment_fields, to_arrays
 from cophy.dataset.store.experiment_set import ExperimentSet, OracleSettings
 from cophy.dataset.store.forecasts import OracleForecasts
 from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, encode
-from cophy.dataset.store.images import Images
 from cophy.dataset.store.manifest import read_format
 from cophy.scenario import Experiment, Shape, Simulator
 from cophy.scenario.rendering.frames import RenderSettings
@@ -37,8 +38,8 @@ class States(ExperimentSet):
     def remedy(self) -> str:
         return "take a larger size="
 
-    def frames(self, render: RenderSettings) -> Images:
-        return Images(self, render)
+    def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> Images:
+        return Images(self, render, needed)
 
     def forecasts(self, settings: OracleSettings) -> OracleForecasts:
         return OracleForecasts(self, self.spec, settings)

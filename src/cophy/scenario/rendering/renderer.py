@@ -18,7 +18,7 @@ from cophy.scenario.rendering.frames import NO_OBJECT, Backend, Frames
 from cophy.scenario.rendering.textures import backdrop, floor_texture
 from cophy.scenario.scenario import Scenario
 
-# Part of what a picture is: raise dataset.store.images.FORMAT_VERSION when one of these changes.
+# Part of what a picture is: raise dataset.pictures.images.FORMAT_VERSION when one of these changes.
 FLOOR_HALF_WIDTH_M = 24.0  # beyond it, the backdrop
 SHOWN_WALL_M = 0.4  # walls are drawn low, so that the near one hides nothing
 WALL_COLOR = (0.8, 0.8, 0.8, 1.0)

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from cophy.dataset.pictures import images
+from cophy.dataset.pictures.images import Images
 from cophy.dataset.released.export.exporter import export
 from cophy.dataset.released.untrusted_files import count_frames
 from cophy.dataset.source import Source
-from cophy.dataset.store import images
-from cophy.dataset.store.images import Images
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 from cophy.scenario.rendering.frames import NO_OBJECT, Backend, Frames, RenderSettings

@@ -12,10 +12,10 @@ from filelock import FileLock
 
 from cophy.atomic_files import read_plain, write_atomically
 from cophy.dataset.generation import progress_bar
+from cophy.dataset.pictures.images import Images
 from cophy.dataset.released.export.experiment_files import Exported, write_experiment
 from cophy.dataset.released.export.exported_lists import as_text, exported_lists
 from cophy.dataset.released.formats.cophy_tasks import TASKS
-from cophy.dataset.store.images import Images
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 from cophy.scenario import Scenario

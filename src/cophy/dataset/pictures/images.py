@@ -5,6 +5,7 @@ import itertools
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from cophy.dataset import generation
 from cophy.dataset.cards.picture_card import write_picture_card
+from cophy.dataset.pictures.needed_frames import ALL, NeededFrames
 from cophy.dataset.store.experiment_set import Clip, ExperimentSet, Pictures, Reader
 from cophy.dataset.store.hdf5_arrays import Field, Fields, creating
 from cophy.dataset.store.shardset import ShardSet
@@ -34,24 +36,33 @@ SAID = {
         "unit": "px",
         "meaning": "first and last column and row of what is seen of the object; -1 where it is not seen",
     },
+    "drawn": {
+        "axes": "experiment, sequence (0: AB, 1: CD), frame",
+        "meaning": "1 where there is a picture; all else of a frame without one is zero, its boxes -1",
+    },
 }
 
 
 class Images(ShardSet):
-    """Pictures of every frame of AB (sequence 0) and CD (1), in a directory below that of the states.
+    """Pictures of frames of AB (sequence 0) and CD (1), in a directory below that of the states.
 
     rgb: (experiment, 2, T, R, R, 3) uint8. depth: (experiment, 2, T, R, R) uint16. segmentation: the same shape, uint8.
-    boxes: (experiment, 2, T, slot, 4) int16. `SAID` has their units and meanings.
+    boxes: (experiment, 2, T, slot, 4) int16. `SAID` has their units and meanings. Where only some frames are needed, all
+    arrays are as large; `drawn` (experiment, 2, T) says which there are, and the others take no room.
     """
 
-    def __init__(self, states: ExperimentSet, render: RenderSettings) -> None:
-        self.states, self.render = states, render
+    def __init__(self, states: ExperimentSet, render: RenderSettings, needed: NeededFrames = ALL) -> None:
+        self.states, self.render, self.needed = states, render, needed
         content = json.dumps([FORMAT_VERSION, sorted(render.modalities), render.resolution, render.backend.value])
         kind = "rgb" if render.modalities == ["rgb"] else "images"
         name = f"{kind}-{render.resolution}-{render.backend.value}-{hashlib.sha256(content.encode()).hexdigest()[:6]}"
+        if needed != ALL:
+            name = f"{name}-{needed.name}"
         choice = "render=rgb" if kind == "rgb" else f"render=all 'render.modalities=[{','.join(render.modalities)}]'"
+        script, keys = needed.drawn_by
         command = (
-            f"{states.command} {choice} render.resolution={render.resolution} render.backend={render.backend.value}"
+            f"{states.command_for(script)} {choice} render.resolution={render.resolution} "
+            f"render.backend={render.backend.value}{keys}"
         )
         super().__init__(states.spec, states.directory / name, title=f"pictures of {states.title}", command=command)
 
@@ -66,25 +77,26 @@ class Images(ShardSet):
         generation.ensure(self.or_more(), workers=workers)
 
     def or_more(self) -> "Images":
-        """The set that pictures are read from: itself, or where it is not there, a finished one with more modalities.
+        """The set that pictures are read from: itself, or where it is not there, a finished one with more.
 
-        A modality is the same in all sets of one resolution and backend, so it is not rendered twice.
+        A picture is the same in all sets of one resolution and backend, so it is not rendered twice. More modalities are
+        preferred to more frames.
         """
         if self.is_finished():
             return self
         others = [name for name in MODALITIES if name not in self.render.modalities]
-        for count in range(1, len(others) + 1):
-            for added in itertools.combinations(others, count):
-                wanted = [name for name in MODALITIES if name in (*self.render.modalities, *added)]
-                found = Images(self.states, replace(self.render, modalities=wanted))
-                if found.is_finished():
-                    return found
+        added = [more for count in range(len(others) + 1) for more in itertools.combinations(others, count)]
+        for needed, more in itertools.product((self.needed, *self.needed.wider), added):
+            wanted = [name for name in MODALITIES if name in (*self.render.modalities, *more)]
+            found = Images(self.states, replace(self.render, modalities=wanted), needed)
+            if found.is_finished():
+                return found
         return self
 
     def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
         """Reads frames; keeps the shards open that it has read from."""
         opened = self.or_more()._opening()
-        return lambda row, sequence, time: opened(row, lambda stored, place: stored["rgb"][place, sequence, time])
+        return lambda row, sequence, time: opened(row, partial(_frame, sequence=sequence, time=time))
 
     def pictures(self, arrays: dict[str, np.ndarray], modalities: Sequence[str]) -> Pictures:
         """Reads experiments; keeps the shards open that it has read from."""
@@ -112,24 +124,28 @@ class Images(ShardSet):
         return read
 
     def sequences(self, shard: int) -> Iterator[Clip]:
-        """(experiment of the shard, sequence, RGB (T, R, R, 3)), in their order."""
         source = self.or_more()
+        needed = self._needed(shard, self.states.read(shard))
         with source.explained(shard), source.opened(source.path(shard), shard) as stored:
-            for row in range(len(self.spec.experiments_of_shard(shard))):
-                for sequence in (0, 1):
-                    yield row, sequence, stored["rgb"][row, sequence]
+            for row, sequence in np.argwhere(needed.any(axis=2)).tolist():
+                times = np.flatnonzero(needed[row, sequence])
+                yield row, sequence, times, stored["rgb"][row, sequence, times]
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
-        """Draw all frames of a shard's experiments, a sequence at a time."""
+        """Draw the frames of a shard's experiments, a sequence at a time."""
         arrays, scenario = self.states.read(shard), self.spec.scenario
-        stride = scenario.clock.states_per_frame
+        stride, needed = scenario.clock.states_per_frame, self._needed(shard, arrays)
         with (
             Renderer(scenario, self.render.resolution, self.render.backend) as renderer,
             creating(path, self.fields(shard), self.attributes(shard)) as stored,
         ):
+            stored["boxes"][...] = -1
+            if "drawn" in stored:
+                stored["drawn"][...] = needed
             for row, states in enumerate(arrays["states"]):
-                for sequence in (0, 1):
-                    seen = states[sequence, ::stride]
+                for sequence in np.flatnonzero(needed[row].any(axis=1)).tolist():
+                    times = np.flatnonzero(needed[row, sequence])
+                    seen = states[sequence, ::stride][times]
                     frames = renderer.render(
                         seen[..., :3],
                         seen[..., 3:7],
@@ -138,8 +154,8 @@ class Images(ShardSet):
                         background_seed=int(arrays["background_seed"][row]),
                     )
                     for name in self.render.modalities:
-                        stored[name][row, sequence] = getattr(frames, name)
-                    stored["boxes"][row, sequence] = bounding_boxes(frames, scenario.num_slots)
+                        stored[name][row, sequence, times] = getattr(frames, name)
+                    stored["boxes"][row, sequence, times] = bounding_boxes(frames, scenario.num_slots)
                 advance(1)
             return {"CPU-s inside PyBullet's camera": renderer.camera_seconds}
 
@@ -165,12 +181,37 @@ class Images(ShardSet):
             for name, (channels, dtype) in CHANNELS.items()
             if name in self.render.modalities
         }
-        return fields | {"boxes": _field("boxes", (*sequences, scenario.num_slots, 4), "<i2")}
+        fields["boxes"] = _field("boxes", (*sequences, scenario.num_slots, 4), "<i2")
+        return (
+            fields
+            if self.needed == ALL
+            else {
+                **fields,
+                "drawn": Field(sequences, "|u1", axes=SAID["drawn"]["axes"], meaning=SAID["drawn"]["meaning"]),
+            }
+        )
 
     def description(self) -> dict[str, Any]:
         """What was rendered, of which dataset, and with what."""
         settings = asdict(self.render) | {"backend": self.render.backend.value}
-        return {"format": FORMAT_VERSION, "dataset": self.states.id, "render": settings, "no_object": NO_OBJECT}
+        of_some = {} if self.needed == ALL else {"frames": self.needed.name}
+        return {
+            "format": FORMAT_VERSION,
+            "dataset": self.states.id,
+            "render": settings,
+            "no_object": NO_OBJECT,
+            **of_some,
+        }
+
+    def _needed(self, shard: int, states: dict[str, np.ndarray]) -> np.ndarray:
+        first = self.spec.experiments_of_shard(shard)[0]
+        return self.needed.of(states["split"], first, self.spec.scenario.clock.num_frames)
+
+
+def _frame(stored: h5py.File, place: int, *, sequence: int, time: int) -> np.ndarray:
+    if "drawn" in stored and not stored["drawn"][place, sequence, time]:
+        raise ValueError(f"frame {time} of sequence {sequence} was not asked for, so it was not drawn")
+    return np.asarray(stored["rgb"][place, sequence, time])
 
 
 def _field(name: str, shape: tuple[int, ...], dtype: str) -> Field:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from cophy.dataset.store.images import Images
+from cophy.dataset.pictures.images import Images
 from cophy.dataset.store.states import States
 from cophy.scenario.rendering.frames import MODALITIES, Backend, RenderSettings
 from tests.dataset.copies import SPEC

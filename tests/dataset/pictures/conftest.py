@@ -1,7 +1,7 @@
 import pytest
 
-from cophy.dataset.store.images import Images
-from tests.dataset.store.rendered import images
+from cophy.dataset.pictures.images import Images
+from tests.dataset.pictures.rendered import images
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""What a de-renderer sees in every frame of a dataset, in shards beside the states that the pictures show."""
+"""What a de-renderer sees in the frames of a dataset, in shards beside the states that the pictures show."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,7 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from cophy.dataset import generation
-from cophy.dataset.store.experiment_set import FrameSource
+from cophy.dataset.pictures.needed_frames import ALL, NeededFrames
+from cophy.dataset.store.experiment_set import ExperimentSet
 from cophy.dataset.store.hdf5_arrays import Field, Fields, creating
 from cophy.dataset.store.shardset import ShardSet
 from cophy.scenario.rendering.frames import RenderSettings
@@ -26,34 +27,44 @@ class Sees(Protocol):
 
 
 class Estimates(ShardSet):
-    """Estimates of all frames of AB (sequence 0) and CD (1).
+    """Estimates of frames of AB (sequence 0) and CD (1).
 
     position: (experiment, 2, T, slot, 3) float32, metres. presence_logit: (experiment, 2, T, slot) float32. Both are zero
     where there are no pictures.
     """
 
-    def __init__(self, frames: FrameSource, derenderer: Sees) -> None:
-        self.frames, self.derenderer, states = frames, derenderer, frames.states
+    def __init__(self, states: ExperimentSet, derenderer: Sees, needed: NeededFrames = ALL) -> None:
+        self.states, self.derenderer = states, derenderer
+        self.frames = states.frames(derenderer.render, needed)
+        self.needed = self.frames.needed
+        of_some = "" if self.needed == ALL else f"-{self.needed.name}"
         super().__init__(
             states.spec,
-            states.directory / f"derendered-{derenderer.name}",
+            states.directory / f"derendered-{derenderer.name}{of_some}",
             title=f"de-rendered {states.title}",
-            command=f"{states.command_for('derender')} derenderer={derenderer.source}",
+            command=f"{states.command_for('derender')} derenderer={derenderer.source}{self.needed.drawn_by[1]}",
         )
+
+    def or_more(self) -> "Estimates":
+        """The set that estimates are read from: itself, or where it is not there, a finished one of more frames."""
+        sets = [Estimates(self.states, self.derenderer, needed) for needed in (self.needed, *self.needed.wider)]
+        return next((found for found in sets if found.is_finished()), self)
 
     def ensure(self, *, workers: int) -> None:
         """Make what is missing; pictures are needed only while the estimates are not finished."""
-        generation.ensure(self.frames.states, workers=workers)
-        if not self.is_finished():
+        generation.ensure(self.states, workers=workers)
+        if not self.or_more().is_finished():
             self.frames.ensure(workers=workers)
             generation.make(self, workers=workers)
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
-        """Look at every frame of a shard."""
+        """Look at the frames of a shard."""
         done = 0
         with creating(path, self.fields(shard), self.attributes(shard)) as stored:
-            for row, sequence, rgb in self.frames.sequences(shard):
-                stored["position"][row, sequence], stored["presence_logit"][row, sequence] = self.derenderer(rgb)
+            for row, sequence, times, rgb in self.frames.sequences(shard):
+                position, presence_logit = self.derenderer(rgb)
+                stored["position"][row, sequence, times] = position
+                stored["presence_logit"][row, sequence, times] = presence_logit
                 advance(row - done)
                 done = row
         advance(len(self.spec.experiments_of_shard(shard)) - done)
@@ -66,7 +77,7 @@ class Estimates(ShardSet):
 
     def sources(self, shard: int) -> dict[str, str]:
         """States and pictures; these may be deleted once they were seen."""
-        sources = {"states_sha256": self.frames.states.checksum(shard)}
+        sources = {"states_sha256": self.states.checksum(shard)}
         if pictures := self.frames.checksums():
             sources["images_sha256"] = pictures[self.path(shard).name]
         return sources
@@ -74,7 +85,7 @@ class Estimates(ShardSet):
     def description(self) -> dict[str, Any]:
         """Which checkpoint saw which pictures."""
         return {
-            "dataset": self.frames.states.directory.name,
+            "dataset": self.states.directory.name,
             "images": self.frames.name,
             "derenderer": self.derenderer.name,
             "checkpoint": str(self.derenderer.source),

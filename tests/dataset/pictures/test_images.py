@@ -15,14 +15,14 @@ import pytest
 
 from cophy.dataset import generation
 from cophy.dataset.feed.frame_dataset import FrameDataset
-from cophy.dataset.store.images import Images, bounding_boxes
+from cophy.dataset.pictures.images import Images, bounding_boxes
 from cophy.drawing.close_up import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario.rendering.frames import MODALITIES, NO_OBJECT, Backend, Frames
 from cophy.scenario.rendering.renderer import Renderer
 from tests.conftest import ROOT
 from tests.dataset.copies import SPEC, digests
-from tests.dataset.store.rendered import RENDER, copy_images, images
+from tests.dataset.pictures.rendered import RENDER, copy_images, images
 
 
 def test_what_is_stored_is_what_was_drawn(rendered: Images) -> None:
@@ -132,7 +132,7 @@ def test_rgb_that_another_set_holds_is_not_rendered_again(rendered: Images, tmp_
     assert not rgb.directory.exists()
     arrays = copied.states.load()
     read, pictures = rgb.reader(arrays), rgb.pictures(arrays, ["rgb"])
-    clips = {(row, sequence): clip for row, sequence, clip in rgb.sequences(1)}
+    clips = {(row, sequence): clip for row, sequence, _, clip in rgb.sequences(1)}
     found = {(row, sequence): pictures(24 + row)["rgb"][sequence] for row, sequence in clips}
     frame = read(30, 1, 7)
 

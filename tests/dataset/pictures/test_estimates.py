@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cophy.dataset import generation
-from cophy.dataset.store.estimates import Estimates
-from cophy.dataset.store.images import Images
+from cophy.dataset.pictures.estimates import Estimates
+from cophy.dataset.pictures.images import Images
 from cophy.errors import CophyError
-from tests.dataset.store.rendered import RENDER, copy_images
+from tests.dataset.pictures.rendered import RENDER, copy_images
 
 
 class Guess:
@@ -25,7 +25,7 @@ def test_estimates_of_other_pictures_are_made_again(
     rendered: Images, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     copied = copy_images(rendered, tmp_path)
-    estimates = Estimates(copied, Guess())
+    estimates = Estimates(copied.states, Guess())
     generation.make(estimates, workers=1)
     copied.directory.joinpath("manifest.json").write_text(
         rendered.directory.joinpath("manifest.json").read_text().replace(copied.checksums()["shard-00001.h5"], "0" * 64)
