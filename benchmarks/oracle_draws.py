@@ -14,7 +14,6 @@ from cophy.app.composition import settings
 from cophy.app.schemas.registration import register
 from cophy.bootstrap import interval
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store.experiment_set import OracleSettings
 from cophy.dataset.store.forecasts import forecast_of
 from cophy.dataset.store.states import States
 from cophy.scenario import Scenario, Simulator
@@ -31,8 +30,7 @@ def main(name: str, num_objects: int, data_dir: Path) -> None:
     """
     register()
     chosen = settings("train", f"scenario={name}", "model=oracle_feedforward")
-    model = chosen.model
-    asked = OracleSettings(model.draws, model.max_configurations, model.noise)
+    asked = chosen.model.settings
     spec = DatasetSpec(chosen.scenario, num_objects, chosen.size, chosen.data_seed)
     states = States(spec, data_dir)
     stored, arrays = states.forecasts(asked).load(), states.load()

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -13,7 +14,7 @@ from rich.table import Table
 from cophy.errors import CophyError
 from cophy.report.runs.stored_run import read_line
 from cophy.report.tables.paper_tables import published_mse
-from cophy.report.tables.shares import share_interval, stored_errors
+from cophy.report.tables.shares import share_of_gain, stored_errors
 from cophy.training.runs.identity import METRICS, Run
 
 ORACLES = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
@@ -68,22 +69,19 @@ def _share(run: Run, content: dict[str, Any], metric_dims: int) -> str | None:
     directories = [path for path in (run.directory, *oracles) if path is not None]
     if len(directories) < 3:
         return None
-    ours, without, with_ab = (json.loads((path / METRICS).read_bytes())["metrics"]["mse"] for path in directories)
-    of_ours, of_without, of_with = (
-        pd.DataFrame([{"directory": path, "metric_dims": metric_dims}]) for path in directories
-    )
-    low, high = share_interval(of_ours, of_without, of_with, stored_errors)
-    return f"{(without - ours) / (without - with_ab):.0%} [{low:.0%}, {high:.0%}]"
+    ours, *ends = (pd.DataFrame([{"directory": path, "metric_dims": metric_dims}]) for path in directories)
+    share = share_of_gain(ours, ends[0], ends[1], stored_errors)
+    return None if np.isnan(share.value) else f"{share.value:.0%} [{share.low:.0%}, {share.high:.0%}]"
 
 
 def _oracle(of_model: Path, content: dict[str, Any]) -> Path | None:
-    """The run of an oracle on the same test split; of several, the one that changes least."""
+    """The run of an oracle on the same test split, or on its first experiments; of several, the one that changes least."""
     found = of_model.glob(f"full/ground_truth/seed*/{METRICS}")
     for path in sorted(found, key=lambda path: len(path.parent.name)):
         try:
             other = read_line(path)
         except CophyError:  # a file that train.py did not write; report.py names it
             continue
-        if all(other[key] == content[key] for key in ("dataset_ids", "num_test")):
+        if other["dataset_ids"] == content["dataset_ids"] and other["num_test"] <= content["num_test"]:
             return path.parent
     return None

@@ -30,4 +30,6 @@ def test_only_the_same_lists_leave_test_experiments_unseen(towers: CoPhyTree) ->
 
 def test_no_oracle_simulates_released_data(towers: CoPhyTree) -> None:
     with pytest.raises(CophyError, match="released data lack what a simulation starts from"):
-        states("cophy", "blocktower", towers.root).forecasts(OracleSettings(draws=4, max_configurations=1, noise=0.1))
+        states("cophy", "blocktower", towers.root).forecasts(
+            OracleSettings(draws=4, max_configurations=1, noise=0.1, max_experiments=2)
+        )

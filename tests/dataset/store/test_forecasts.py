@@ -1,6 +1,7 @@
 """Forecasts of the oracles, beside tiny data."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 from tests.conftest import SCENARIOS, tiny_spec
 
-ASKED = OracleSettings(draws=4, max_configurations=16, noise=0.05)
+ASKED = OracleSettings(draws=4, max_configurations=16, noise=0.05, max_experiments=400)
 
 
 @pytest.fixture(scope="module")
@@ -82,3 +83,15 @@ def test_data_that_come_out_otherwise_are_refused(forecasts, tmp_path: Path, mon
     shard = next(shard for shard in range(each.spec.num_shards) if len(each.read(shard)["experiment"]))
     with pytest.raises(CophyError, match="was made by other code"):
         each.write(tmp_path / "shard.h5", shard, lambda count: None)
+
+
+def test_oracles_are_asked_about_the_first_test_experiments(forecasts, tmp_path: Path) -> None:
+    every = forecasts["collision"]
+    shutil.copytree(every.states.directory, tmp_path / "collision" / every.states.directory.name)
+    few = States(tiny_spec("collision"), tmp_path).forecasts(replace(ASKED, max_experiments=2))
+    assert few.directory.name != every.directory.name
+    generation.ensure(few, workers=1)
+    for name, array in few.load().items():
+        np.testing.assert_array_equal(array, every.load()[name][:2])
+    enough = States(tiny_spec("collision"), tmp_path).forecasts(replace(ASKED, max_experiments=4000))
+    assert enough.directory.name == every.directory.name

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
-from cophy.report.tables.shares import stored_errors
+from cophy.report.tables.shares import Errors, share_of_gain, stored_errors
 from cophy.training.measures.metrics import mean_squared_error
 from cophy.training.runs.results import write_predictions
 from cophy.types import Batch, Prediction
@@ -24,3 +25,18 @@ def test_stored_errors_are_the_mse_of_each_experiment(
     expected = mean_squared_error(dims)(prediction, tower_batch.targets).numpy()
     np.testing.assert_allclose(found.mse, expected, rtol=1e-5, atol=1e-6)
     np.testing.assert_array_equal(found.pair, np.arange(len(tower_batch)) // 2)
+
+
+def test_a_share_is_of_the_experiments_that_all_were_tested_on() -> None:
+    pairs = np.arange(40) // 2
+    ours, without, with_ab = (pd.DataFrame([{"run": name}]) for name in ("ours", "without", "with_ab"))
+    errors = {
+        "ours": Errors(np.where(pairs < 10, 2.0, 100.0), pairs),
+        "without": Errors(np.full(20, 5.0), pairs[:20]),
+        "with_ab": Errors(np.full(20, 1.0), pairs[:20]),
+    }
+    share = share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]])
+    assert share == pytest.approx((0.75, 0.75, 0.75))
+    errors["with_ab"] = Errors(np.full(20, 1.0), pairs[2:22])
+    assert np.isnan(share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]]).value)
+    assert np.isnan(share_of_gain(ours.iloc[:0], without, with_ab, lambda run: errors[run["run"]]).value)

@@ -109,6 +109,7 @@ class OracleConfig:
     draws: int = MISSING
     max_configurations: int = MISSING
     noise: float = MISSING
+    max_experiments: int = MISSING
 
     def __post_init__(self) -> None:
         if self.oracle not in ORACLES:
@@ -117,11 +118,13 @@ class OracleConfig:
             raise ValueError("model.draws must be at least 4: the variance of a mean takes two twin pairs")
         if self.max_configurations < 1 or self.noise <= 0:
             raise ValueError("model: max_configurations must be at least 1 and noise positive")
+        if self.max_experiments < 2 or self.max_experiments % 2:
+            raise ValueError("model.max_experiments must be even and at least 2: both twins are asked about")
 
     @property
     def settings(self) -> OracleSettings:
         """What all oracles are asked with."""
-        return OracleSettings(self.draws, self.max_configurations, self.noise)
+        return OracleSettings(self.draws, self.max_configurations, self.noise, self.max_experiments)
 
 
 @dataclass

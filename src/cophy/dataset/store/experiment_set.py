@@ -24,12 +24,14 @@ class OracleSettings:
     """What the oracles are asked with, explained in conf/model/.
 
     draws: of D where not all that could be is enumerated. max_configurations: how many configurations are tried on AB.
-    noise: how far every observed coordinate may be off, m.
+    noise: how far every observed coordinate may be off, m. max_experiments: so many test experiments are asked about, the first
+    ones.
     """
 
     draws: int
     max_configurations: int
     noise: float
+    max_experiments: int
 
 
 class ExperimentSet(ShardSet):

@@ -27,7 +27,7 @@ STORED_PRECISION_M = 1e-4  # positions are stored with less error
 
 
 class OracleForecasts(ShardSet):
-    """By each of ORACLES, for the experiments of the test split.
+    """By each of ORACLES, for the first experiments of the test split: as many as the settings ask about.
 
     experiment: (experiment,) their indices in the dataset. <oracle>_position: (experiment, T-1, K, 3), the mean of D, metres.
     <oracle>_draw_variance: the same shape, the variance that this mean owes to the draws that it is of, m².
@@ -37,8 +37,12 @@ class OracleForecasts(ShardSet):
     spec: DatasetSpec
 
     def __init__(self, states: ExperimentSet, spec: DatasetSpec, settings: OracleSettings) -> None:
-        self.states, self.settings = states, settings
-        text = json.dumps({"version": VERSION, **asdict(settings)}, sort_keys=True)
+        self.spec, self.states, self.settings = spec, states, settings
+        asked = asdict(settings)
+        self.asked = {name: asked[name] for name in ("draws", "max_configurations", "noise")}
+        if len(self._tested()) > settings.max_experiments:
+            self.asked["max_experiments"] = settings.max_experiments
+        text = json.dumps({"version": VERSION, **self.asked}, sort_keys=True)
         name = f"oracles-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
         command = f"python src/train.py scenario={spec.scenario.name} 'model=glob(oracle_*)' -m"
         super().__init__(spec, states.directory / name, title=f"oracles of {states.title}", command=command)
@@ -73,7 +77,7 @@ class OracleForecasts(ShardSet):
 
     def description(self) -> dict[str, Any]:
         """What was asked of the oracles."""
-        return {"dataset": self.spec.id, "version": VERSION, **asdict(self.settings)}
+        return {"dataset": self.spec.id, "version": VERSION, **self.asked}
 
     def _of_pair(
         self, pair: int, observed: np.ndarray, simulator: RememberingSimulator
@@ -111,7 +115,15 @@ class OracleForecasts(ShardSet):
                 "initial_velocity": moving,
                 "confounders": resampled(2, index, configuration=twin.configuration),
                 "counterfactual": posterior(
-                    scenario, twin.scene, do_operation, seen, **asdict(settings), rng=rng, simulator=simulator
+                    scenario,
+                    twin.scene,
+                    do_operation,
+                    seen,
+                    draws=settings.draws,
+                    max_configurations=settings.max_configurations,
+                    noise=settings.noise,
+                    rng=rng,
+                    simulator=simulator,
                 ),
             }
 
@@ -127,9 +139,15 @@ class OracleForecasts(ShardSet):
                 f"out otherwise. Delete it and run `{self.states.command}`"
             )
 
-    def _rows(self, shard: int) -> np.ndarray:
+    def _tested(self) -> np.ndarray:
+        """Indices of the test experiments in the dataset."""
         split = split_of_experiments(self.spec.num_experiments, self.spec.data_seed)
-        return np.flatnonzero(split[list(self.spec.experiments_of_shard(shard))] == SPLITS.index("test"))
+        return np.flatnonzero(split == SPLITS.index("test"))
+
+    def _rows(self, shard: int) -> np.ndarray:
+        """Rows in a shard of what is asked about."""
+        asked, within = self._tested()[: self.settings.max_experiments], self.spec.experiments_of_shard(shard)
+        return asked[(asked >= within[0]) & (asked <= within[-1])] - within[0]
 
 
 def forecast_of(hypotheses: Hypotheses, scenario: Scenario) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from cophy.report.tables.captions import caption
 from cophy.report.tables.paper_tables import PaperTable
-from cophy.report.tables.shares import ErrorsOf, share_interval
+from cophy.report.tables.shares import UNKNOWN, ErrorsOf, Share, share_of_gain
 
 MISSING, FAILED = "—", "failed"
 NUMBERS = ("ours", "sd", "low", "high")
@@ -113,8 +113,8 @@ def fill(
         about = {"row": choice.row, "column": choice.column, "metric": choice.metric}
         values.append({**about, **numbers, "paper": paper})
     frame = pd.DataFrame(values)
-    low, high = _share_intervals(table, frame, used, errors_of)
-    frame = frame.assign(best=_best(table, frame), share=_share(table, frame), share_low=low, share_high=high)
+    value, low, high = zip(*_shares(table, frame, used, errors_of), strict=True)
+    frame = frame.assign(best=_best(table, frame), share=value, share_low=low, share_high=high)
     said = [caption(table, pd.concat(used)), *_controls(table, runs), left_out]
     return FilledTable(table, frame, " ".join(said).strip(), left_out)
 
@@ -188,33 +188,29 @@ def _people(people: pd.DataFrame | None, setting: str, metric: str) -> dict[str,
     return {**{name: float(line[name]) for name in NUMBERS}, "seeds": 1, "failed": 0}
 
 
-def _share(table: PaperTable, values: pd.DataFrame) -> "pd.Series[float]":
-    """Of what AB can add to the best that is possible without it; negative for what is worse than that."""
-    if not table.oracles:
-        return pd.Series(np.nan, index=values.index)
-    method, other = _axes(table)
-    without, with_ab = (
-        values[other].map(values[values[method] == oracle].set_index(other)["ours"]) for oracle in table.ends
-    )
-    share = (without - values["ours"]) / (without - with_ab)
-    asked_people = [label for label, keys in table.rows.items() if PEOPLE in keys]  # on a part of the test split
-    return share.where(~values["row"].isin(asked_people))
-
-
-def _share_intervals(
+def _shares(
     table: PaperTable, values: pd.DataFrame, used: list[pd.DataFrame], errors_of: ErrorsOf | None
-) -> tuple[list[float], list[float]]:
-    """Low and high of the share of every cell with an MSE; NaN elsewhere."""
+) -> list[Share]:
+    """Of every cell; without errors, or for other metrics than the MSE, of means over the same test experiments."""
     method, other = _axes(table)
-    runs = dict(zip(zip(values[method], values[other], strict=True), used, strict=True))
+    cells = list(zip(values[method], values[other], strict=True))
+    runs, means = (dict(zip(cells, each, strict=True)) for each in (used, values["ours"]))
+    asked_people = [label for label, keys in table.rows.items() if PEOPLE in keys]  # on a part of the test split
     found = []
-    for ((name, column), ours), metric in zip(runs.items(), values["metric"], strict=True):
-        if errors_of is None or not table.oracles or metric != "mse" or name in table.oracles:
-            found.append((np.nan, np.nan))
-            continue
-        without, with_ab = (runs[oracle, column] for oracle in table.ends)
-        found.append(share_interval(ours, without, with_ab, errors_of))
-    return [low for low, _ in found], [high for _, high in found]
+    for (name, column), row, metric in zip(cells, values["row"], values["metric"], strict=True):
+        compared = [(name, column), *((oracle, column) for oracle in table.ends)] if table.oracles else []
+        if not compared or row in asked_people or any(runs[cell].empty for cell in compared):
+            found.append(UNKNOWN)
+        elif errors_of is not None and metric == "mse":
+            ours, without, with_ab = (runs[cell] for cell in compared)
+            found.append(share_of_gain(ours, without, with_ab, errors_of))
+        elif pd.concat([runs[cell] for cell in compared])["num_test"].nunique() > 1:
+            found.append(UNKNOWN)
+        else:
+            mean, mean_without, mean_with = (means[cell] for cell in compared)
+            possible = mean_without - mean_with
+            found.append(Share((mean_without - mean) / possible if possible else np.nan))
+    return found
 
 
 def _axes(table: PaperTable) -> tuple[str, str]:

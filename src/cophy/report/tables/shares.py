@@ -1,4 +1,4 @@
-"""How sure a share of the possible gain is: its interval over twin pairs."""
+"""Shares of the possible gain, and how sure they are: their interval over twin pairs."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -40,10 +40,27 @@ def _stored_errors(directory: Path, dims: int) -> Errors:
     return Errors(np.where(present, squared, 0.0).sum(axis=1) / present.sum(axis=1), found["pair"])
 
 
-def share_interval(
-    ours: pd.DataFrame, without: pd.DataFrame, with_ab: pd.DataFrame, errors_of: ErrorsOf
-) -> tuple[float, float]:
-    """95 % interval of (oracle without AB - ours) / (oracle without AB - oracle with AB), paired by experiment.
+class Share(NamedTuple):
+    """Of what AB can add to the best that is possible without it; negative for what is worse than that.
+
+    Attributes:
+        value: 1 for the oracle with AB, 0 for that without.
+        low: Of its 95 % interval, paired by experiment.
+        high: Likewise.
+    """
+
+    value: float
+    low: float = np.nan
+    high: float = np.nan
+
+
+UNKNOWN = Share(np.nan)
+
+
+def share_of_gain(ours: pd.DataFrame, without: pd.DataFrame, with_ab: pd.DataFrame, errors_of: ErrorsOf) -> Share:
+    """(oracle without AB - ours) / (oracle without AB - oracle with AB), of what all of them were tested on.
+
+    Oracles are asked about the first experiments of a test split. A model's errors on the others do not count here.
 
     Args:
         ours: Runs of a row, one per seed; their errors are averaged.
@@ -52,10 +69,14 @@ def share_interval(
         errors_of: Gives the errors of a run.
 
     Returns:
-        Low and high; NaN where the runs were not tested on the same experiments, or one of the three is missing.
+        NaN where the runs were tested on other experiments, or one of the three is missing.
     """
     parts = [[errors_of(run) for run in runs.to_dict("records")] for runs in (ours, without, with_ab)]
-    if not all(parts) or len({each.pair.tobytes() for part in parts for each in part}) > 1:
-        return np.nan, np.nan
-    of_ours, of_without, of_with = (np.mean([each.mse for each in part], axis=0) for part in parts)
-    return interval(Ratio(of_without - of_ours, of_without - of_with), parts[0][0].pair)
+    if not all(parts):
+        return UNKNOWN
+    asked = min(len(each.pair) for part in parts for each in part)
+    if len({each.pair[:asked].tobytes() for part in parts for each in part}) > 1:
+        return UNKNOWN
+    of_ours, of_without, of_with = (np.mean([each.mse[:asked] for each in part], axis=0) for part in parts)
+    gained, possible = of_without - of_ours, of_without - of_with
+    return Share(gained.sum() / possible.sum(), *interval(Ratio(gained, possible), parts[0][0].pair[:asked]))

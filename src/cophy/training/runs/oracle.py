@@ -10,6 +10,7 @@ import torch
 from cophy.dataset import generation
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.store.forecasts import OracleSettings
+from cophy.errors import CophyError
 from cophy.training.callbacks.prediction_figures import NUM_SHOWN, DrawnPredictions
 from cophy.training.curves import Curves
 from cophy.training.measures.copies import mse_of_copies
@@ -44,19 +45,21 @@ def carry_out_oracle(
         loggers: What `logger=` chose.
         started: `time.monotonic()` when the run began.
     """
-    prediction, targets = forecast(data, oracle, settings), data.test.batch.targets
+    prediction = forecast(data, oracle, settings)
+    asked = take(data.test.batch, slice(len(prediction.position)))
+    targets = asked.targets
     claim.begin()
     if not is_first():
         return
     run = claim.run
-    copies = mse_of_copies(data.test.batch, data.scenario, data.mean_position)
+    copies = mse_of_copies(asked, data.scenario, data.mean_position)
     measured = Measured(evaluate(prediction, targets, data.scenario), targets.pair.numpy(), copies)
     write_predictions(run.directory, prediction, targets)
     about = {
         "dataset_ids": data.dataset_ids,
         "derenderer": None,
         "num_train": len(data.train),
-        "num_test": len(data.test),
+        "num_test": len(asked),
         "training_seconds": 0.0,
         "wall_seconds": round(time.monotonic() - started, 1),
     }
@@ -66,24 +69,29 @@ def carry_out_oracle(
         for logger in chosen:
             logger.log_hyperparams(run.names() | {f"model.{key}": value for key, value in asdict(settings).items()})
             if isinstance(logger, Curves):
-                shown = take(data.test.batch, slice(NUM_SHOWN))
+                shown = take(asked, slice(NUM_SHOWN))
                 drawn = DrawnPredictions(shown, data.scenario, "test")
                 drawn.add(logger.experiment, take(prediction, slice(NUM_SHOWN)), step=0)
         log_results(chosen, metrics, step=0)
 
 
 def forecast(data: CounterfactualDataModule, oracle: str, settings: OracleSettings) -> Prediction:
-    """What an oracle says of every test experiment; forecasts that are missing are simulated first.
+    """What an oracle says of the first test experiments; forecasts that are missing are simulated first.
 
     Args:
         data: Set up.
         oracle: One of ORACLES.
         settings: What the oracles are asked with.
+
+    Raises:
+        CophyError: None of the split's test experiments is among those that the oracles are asked about.
     """
     forecasts = data.test_set.forecasts(settings)
     generation.ensure(forecasts, workers=data.workers)
     stored = forecasts.load()
-    chosen = np.searchsorted(stored["experiment"], data.test_experiments)
+    chosen = np.flatnonzero(np.isin(stored["experiment"], data.test_experiments))
+    if not len(chosen):
+        raise CophyError(f"split={data.split.name} tests on none of the experiments that oracles are asked about")
     position, stable, by_chance = (
         torch.from_numpy(stored[f"{oracle}_{what}"][chosen]) for what in ("position", "stable", "draw_variance")
     )
