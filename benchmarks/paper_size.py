@@ -1,30 +1,33 @@
-"""What size=paper costs: just bench hours prints two Markdown tables. A quarter of an hour on one core.
+"""What all datasets of `size=paper` cost, extrapolated from some experiments of each: `just bench hours`.
 
-A few experiments of every dataset are made as generate.py makes them, in one process; its CPU time × the counts of
-conf/size/paper.yaml. Experiments are independent of each other: on N cores it takes an N-th of the hours.
+States, and pictures by who looks at them: all frames, AB and C of every experiment, AB and C of test experiments, and the
+frames that one de-renderer learns from. For these, floor and backdrop are set up anew for nearly every frame.
 """
 
 import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
 from cophy.app.composition import settings
 from cophy.dataset.pictures.images import Images
+from cophy.dataset.pictures.needed_frames import ALL, INPUTS, ChosenFrames, NeededFrames
 from cophy.dataset.spec import DatasetSpec, Size
+from cophy.dataset.splits import FRACTIONS
 from cophy.dataset.store.shardset import ShardSet
 from cophy.dataset.store.states import States
+from cophy.errors import CophyError
 from cophy.scenario import Scenario
-from cophy.scenario.rendering.frames import MODALITIES, Backend, RenderSettings
+from cophy.scenario.rendering.frames import Backend, RenderSettings
 
 NUM_SIMULATED, NUM_DRAWN = 400, 4  # some searches are long, every picture costs the same
-RENDERS = {
-    f"{name}, {resolution}": RenderSettings(modalities, resolution, Backend.tiny)
-    for resolution in (224, 448)
-    for name, modalities in (("RGB", ["rgb"]), ("all", list(MODALITIES)))
-}
+RESOLUTIONS = (112, 224, 448)
+ONE_FRAME = ChosenFrames.to_train(np.array([(row, 0, 10) for row in range(NUM_DRAWN)]), "")
+DERENDERER_FRAMES = 24_000  # conf/train.yaml: 20,000 to train on, a tenth as many to validate and to test
+NEEDED: dict[str, NeededFrames] = {"all": ALL, "AB, C": INPUTS, "one frame": ONE_FRAME}
 
 
 def main() -> None:
@@ -41,10 +44,12 @@ def main() -> None:
     print(table(seconds, per=3600))
     print("\nMiB per experiment, and GiB of all experiments\n")
     print(table(sizes, per=1024))
+    print("\nCPU-hours of RGB, by who looks at it\n")
+    print(by_need(seconds))
 
 
 def measure(scenario: Scenario, num_objects: int) -> dict[str, tuple[float, float]]:
-    """CPU-s and MiB per experiment, of the states and of every kind of pictures."""
+    """CPU-s and MiB per experiment, of the states and of every kind of pictures; without those that cannot be drawn here."""
     with tempfile.TemporaryDirectory() as data_dir:
         simulated, drawn = (
             States(DatasetSpec(scenario, num_objects, one_shard(scenario.name, num_objects, count), 0), Path(data_dir))
@@ -53,7 +58,33 @@ def measure(scenario: Scenario, num_objects: int) -> dict[str, tuple[float, floa
         took = {"states": make(simulated)}
         make(drawn)
         drawn.write_manifest()
-        return took | {what: make(Images(drawn, render)) for what, render in RENDERS.items()}
+        for backend in Backend:
+            for resolution in RESOLUTIONS:
+                render = RenderSettings(["rgb"], resolution, backend)
+                try:
+                    took |= {
+                        f"{backend.value} {resolution}, {what}": make(Images(drawn, render, needed))
+                        for what, needed in NEEDED.items()
+                    }
+                except CophyError as error:
+                    print(error)
+        return took
+
+
+def by_need(seconds: dict[tuple[str, int], dict[str, float]]) -> str:
+    """Per dataset and way to draw: hours of all frames, of AB and C of all and of test experiments, of one de-renderer."""
+    rows = []
+    for (name, count), took in seconds.items():
+        for way in dict.fromkeys(what.partition(",")[0] for what in took if what != "states"):
+            hours = {what: took[f"{way}, {what}"] * count / 3600 for what in ("all", "AB, C")}
+            frames = {
+                "all frames": hours["all"],
+                "AB, C": hours["AB, C"],
+                "AB, C of tests": hours["AB, C"] * FRACTIONS[2],
+                "a de-renderer's": min(took[f"{way}, one frame"] * DERENDERER_FRAMES / 3600, hours["all"]),
+            }
+            rows.append({"dataset": name, "drawn by": way} | {what: f"{value:.2f}" for what, value in frames.items()})
+    return str(pd.DataFrame(rows).to_markdown(index=False, disable_numparse=True))
 
 
 def one_shard(name: str, num_objects: int, count: int) -> Size:

@@ -126,6 +126,7 @@ def _experiments(settings: TrainConfig, run: Run, declared: DeclaredInputs) -> C
         estimated=estimated,
         declared=declared,
         needs_confounders=declared.confounders or learnt,
+        num_experiments=settings.training.num_experiments,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 class Training:
     """How a network is optimised; each value's source is in the YAML.
 
+    num_experiments: so many training experiments are used, the first ones; None for all.
     optimizer, schedule, callbacks: a `_target_` and its arguments each, as their groups of conf/ choose.
     """
 
@@ -17,6 +18,7 @@ class Training:
     position_weight: float
     stability_weight: float
     confounder_weight: float
+    num_experiments: int | None = None
     optimizer: dict[str, Any] = field(default_factory=dict)
     schedule: dict[str, Any] = field(default_factory=dict)
     callbacks: dict[str, Any] = field(default_factory=dict)
@@ -28,3 +30,5 @@ class Training:
                 "training: batch_size and learning_rate must be positive, weights not negative: "
                 f"batch_size={self.batch_size}, learning_rate={self.learning_rate}, weights {weights}"
             )
+        if self.num_experiments is not None and self.num_experiments < 1:
+            raise ValueError(f"training.num_experiments={self.num_experiments} must be at least 1")

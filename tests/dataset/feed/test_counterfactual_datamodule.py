@@ -9,17 +9,26 @@ from cophy.app.composition import settings
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.dataset.store.states import States
+from cophy.errors import CophyError
 from cophy.types import CONFOUNDERS
 from tests.conftest import tiny_spec
 
 OPTIONAL = ("confounders", "object_type", "pose")
 
 
-def fed(data_dir: Path, declared: DeclaredInputs | None) -> CounterfactualDataModule:
+def fed(
+    data_dir: Path, declared: DeclaredInputs | None = None, num_experiments: int | None = None
+) -> CounterfactualDataModule:
     states = States(tiny_spec("collision"), data_dir)
     split = settings("train", "scenario=collision").split
     data = CounterfactualDataModule(
-        split, train_set=states, test_set=states, batch_size=8, workers=1, declared=declared
+        split,
+        train_set=states,
+        test_set=states,
+        batch_size=8,
+        workers=1,
+        declared=declared,
+        num_experiments=num_experiments,
     )
     data.setup()
     return data
@@ -43,3 +52,13 @@ def test_looks_are_those_of_the_experiment_that_they_come_with(tiny_data: Path) 
     assert (inputs.pose.any(dim=-1) == cylinder).all()
     confounder = inputs.confounders[..., CONFOUNDERS.index("cylinder")]  # standardised
     assert torch.equal(confounder > 0, cylinder)
+
+
+def test_a_learning_curve_trains_on_the_first_experiments_and_tests_on_all(tiny_data: Path) -> None:
+    every, few = fed(tiny_data), fed(tiny_data, num_experiments=10)
+    assert torch.equal(few.train.batch.inputs.observed, every.train.batch.inputs.observed[:10])
+    assert torch.equal(few.train.batch.targets.pair, every.train.batch.targets.pair[:10])
+    for split in ("val", "test"):
+        assert torch.equal(getattr(few, split).batch.inputs.observed, getattr(every, split).batch.inputs.observed)
+    with pytest.raises(CophyError, match=r"training\.num_experiments=1000: there are 34 to train on"):
+        fed(tiny_data, num_experiments=1000)

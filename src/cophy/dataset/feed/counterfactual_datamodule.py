@@ -49,6 +49,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         estimated: Sequence[str] = (),
         declared: DeclaredInputs | None = None,
         needs_confounders: bool = False,
+        num_experiments: int | None = None,
     ) -> None:
         """Note what is wanted; nothing is read yet.
 
@@ -63,6 +64,7 @@ class CounterfactualDataModule(L.LightningDataModule):
             estimated: Names of the splits of which only the estimates are seen.
             declared: Which optional inputs the model is given; None for none of them.
             needs_confounders: Whether the run needs data that tell them, as input or to learn from.
+            num_experiments: So many training experiments are used, the first ones; None for all.
         """
         super().__init__()
         split.check_scenario(train_set.spec.scenario)
@@ -71,6 +73,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         self.batch_size, self.workers, self.seed = batch_size, workers, seed
         self.derenderer, self.estimated = derenderer, estimated
         self.declared, self.needs_confounders = declared or DeclaredInputs(), needs_confounders
+        self.num_experiments = num_experiments
 
     @property
     def dataset_ids(self) -> list[str]:
@@ -127,7 +130,12 @@ class CounterfactualDataModule(L.LightningDataModule):
             raise CophyError(
                 f"split={self.split.name} leaves no {split} experiments of {experiments.id}: {experiments.remedy}"
             )
-        return {name: array[rows] for name, array in stored.items()}
+        kept = np.flatnonzero(rows)
+        if split == "train" and self.num_experiments is not None:
+            if self.num_experiments > len(kept):
+                raise CophyError(f"training.num_experiments={self.num_experiments}: there are {len(kept)} to train on")
+            kept = kept[: self.num_experiments]
+        return {name: array[kept] for name, array in stored.items()}
 
     def _batch(self, arrays: Arrays) -> Batch:
         return with_appearance(to_batch(arrays, self.scenario), arrays, self.declared)
