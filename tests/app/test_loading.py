@@ -27,6 +27,8 @@ def test_items_are_what_is_stored(name: str, tiny_data: Path) -> None:
             np.arange(len(stored["split"])) if split is None else np.flatnonzero(stored["split"] == SPLITS.index(split))
         )
         assert len(data) == len(rows) > 0
+        assert f"{len(rows)} experiments of {name}, " in repr(data)
+        assert "mass (" in repr(data)
         for item in (0, len(data) - 1):
             assert data[item].keys() == stored.keys()
             for field, value in data[item].items():

@@ -111,6 +111,8 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     assert "cophynet static_gating" in (tmp_path / "report" / "difficulty.md").read_text()
     markdown = (tmp_path / "report" / "tables.md").read_text()
     assert "— / 0.318" in markdown  # IN was not run
+    assert markdown.index("# Table 2") < markdown.index("# Table 3")  # tables without any run come last
+    assert markdown.index("# Table 6") < markdown.index("# Table 4")
     names = {path.name for path in (tmp_path / "report" / "figures").iterdir()}
     of_models = {f"trajectories-blocktower-3to3-{model}" for model in ("cophynet", "cophynet-mlp", "copy_c", "copy_b")}
     drawn = {"table-blocktower", "error_over_time-blocktower-3to3", *of_models}

@@ -50,6 +50,7 @@ class ExperimentDataset(Dataset[dict[str, Tensor]]):
         self.scenario: Scenario = experiments.spec.scenario
         self.rows = np.flatnonzero(chosen)
         self.arrays = {name: array[chosen] for name, array in arrays.items()}
+        self._title = experiments.title
         self._frames, self._modalities = frames, tuple(modalities)
         self._where: dict[str, np.ndarray] = {name: arrays[name] for name in ("experiment", "clip") if name in arrays}
         self._pictures: Pictures | None = None  # of the process that reads
@@ -64,6 +65,11 @@ class ExperimentDataset(Dataset[dict[str, Tensor]]):
                 self._pictures = self._frames.pictures(self._where, self._modalities)
             found |= self._pictures(int(self.rows[item]))
         return {name: _tensor(value) for name, value in found.items()}
+
+    def __repr__(self) -> str:
+        shapes = ", ".join(f"{name} {array.shape[1:]}" for name, array in self.arrays.items())
+        pictures = "".join(f", {name}" for name in self._modalities)
+        return f"{len(self)} experiments of {self._title}: {shapes}{pictures}"
 
     def __getstate__(self) -> dict[str, object]:
         """Without open files: every process opens its own."""

@@ -26,7 +26,7 @@ def draw_trajectories(
     """Predicted and true trajectories of a few experiments, from above and from the side, each object in its colour.
 
     Squares are C, circles the truth, crosses the prediction (as in the paper's figure of predictions), at every fourth
-    frame and the last.
+    frame and the last. Twins, which start from one C, are drawn to one scale.
 
     Args:
         initial: (N, K, 3) positions in C, metres.
@@ -43,16 +43,17 @@ def draw_trajectories(
     axes = figure.subplots(len(VIEWS), count, squeeze=False)
     for (view, (right, up)), row, named in zip(VIEWS.items(), axes, (headings, ()), strict=True):
         for n, axis in enumerate(row):
-            everything = []
             for slot in np.flatnonzero(presence[n]).tolist():
                 style = {"color": colors[slot], "markerfacecolor": "none"}
                 for path, marker, line in ((true[n, :, slot], "o", "-"), (predicted[n, :, slot], "x", ":")):
                     whole = np.concatenate([initial[n, None, slot], path])[:, [right, up]]
                     marked = [*range(FRAMES_PER_MARKER, len(whole) - 1, FRAMES_PER_MARKER), len(whole) - 1]
                     axis.plot(*whole.T, line, marker=marker, markevery=marked, ms=6, lw=0.8, **style)
-                    everything.append(whole)
                 axis.plot(*initial[n, slot, [right, up]], "s", ms=9, **style)
-            low, high = np.concatenate(everything).min(axis=0), np.concatenate(everything).max(axis=0)
+            twins = [m for m in range(count) if np.array_equal(initial[m], initial[n])]
+            shown = [path[m][:, presence[m]] for m in twins for path in (initial[:, None], true, predicted)]
+            everything = np.concatenate([path[..., [right, up]].reshape(-1, 2) for path in shown])
+            low, high = everything.min(axis=0), everything.max(axis=0)
             centre, half = (low + high) / 2, 0.55 * max((high - low).max(), MIN_VIEW_M)
             axis.set(
                 xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half), aspect="equal"

@@ -101,7 +101,7 @@ def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figu
     """Print what is filled, or all; what is filled as bars."""
     drawn, empty = {}, 0
     for result in filled:
-        is_filled = bool(result.values[["seeds", "failed"]].to_numpy().any())
+        is_filled = result.has_runs
         empty += not is_filled
         cells = result.cells(bold=terminal_tables.BOLD)
         if show_all:
@@ -133,11 +133,12 @@ def _write_tables(
 
     Args:
         directory: Where they go.
-        filled: The paper's tables.
+        filled: The paper's tables; those with something of ours come first.
         sections: What follows the paper's tables, Markdown.
         everything: That summary.
         runs: See `read_runs`.
     """
+    filled = sorted(filled, key=lambda table: not table.has_runs)
     written = {
         "tables.md": "\n".join(map(table_formats.markdown, filled))
         + sections

@@ -43,6 +43,11 @@ class FilledTable:
     caption: str
     left_out: str
 
+    @property
+    def has_runs(self) -> bool:
+        """Whether any of its rows was run here, or tried."""
+        return bool(self.values[["seeds", "failed"]].to_numpy().any())
+
     def cells(self, bold: tuple[str, str] = ("", "")) -> pd.DataFrame:
         """To read: rows × columns of "ours / the paper's", the best between the two strings of `bold`."""
         texts = pd.Series([self._text(value, bold) for value in self.values.to_dict("records")])
