@@ -46,13 +46,16 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
     """
     if not outputs.is_dir():
         raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there, study.py answers")
+    runs, studies = read_runs(outputs, choices.keys_of), read_answers(outputs, choices)
+    if runs.empty and not studies:
+        raise CophyError(
+            f"outputs={outputs}: there are no runs to report; train.py writes them, see python src/train.py --help"
+        )
     (directory / "figures").mkdir(parents=True, exist_ok=True)
-    runs = read_runs(outputs, choices.keys_of)
     tables = overviews(runs)
     for number, (title, table) in enumerate(tables.items(), start=1):
         terminal_tables.show(f"What was run: {title}", table, OVERVIEW if number == len(tables) else "")
     _show_failures(runs)
-    studies = read_answers(outputs, choices)
     filled = [_filled(table, runs, studies) for table in paper_tables()]
     drawn = _show_tables(filled, show_all=show_all)
     twins = twin_tables(runs)
@@ -77,8 +80,10 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
     drawn |= dict(draw_studies(studies))
     for name, figure in drawn.items():
         figures.write_figure(directory / "figures", name, figure)
-    said = "%d runs; tables (md, tex, csv), their captions and %d figures (png, pdf) in\n%s"
-    log.info(said, len(runs), len(drawn), directory)
+    skipped = runs.attrs["skipped"]
+    not_read = f" ({skipped} more cannot be read, see above)" if skipped else ""
+    said = "%d runs%s; tables (md, tex, csv), their captions and %d figures (png, pdf) in\n%s"
+    log.info(said, len(runs), not_read, len(drawn), directory)
 
 
 def _filled(table: PaperTable, runs: pd.DataFrame, studies: list[StudyAnswers]) -> FilledTable:

@@ -139,3 +139,11 @@ def test_strange_predictions_are_named_and_their_run_passed_over(
     assert "predictions.npz is missing or damaged" in caplog.text
     path.unlink()
     assert read_runs(tmp_path, lambda names: {}).empty
+
+
+def test_what_cannot_be_read_is_counted(tmp_path: Path) -> None:
+    assert read_runs(tmp_path, lambda names: {}).attrs["skipped"] == 0
+    broken = tmp_path / "balls" / "4to4" / "in" / "full" / "ground_truth" / "seed0" / "metrics.json"
+    broken.parent.mkdir(parents=True)
+    broken.write_text("{}")
+    assert read_runs(tmp_path, lambda names: {}).attrs["skipped"] == 1

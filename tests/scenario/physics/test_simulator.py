@@ -1,5 +1,6 @@
 """Simulation against closed forms."""
 
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -158,3 +159,9 @@ def test_without_pybullet_generation_stops_with_one_clear_line(monkeypatch: pyte
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(CophyError, match=r"PyBullet.*3\.11"):
         Simulator()
+
+
+def test_pybullet_is_imported_without_its_banner() -> None:
+    code = "import sys; from cophy.scenario.physics.simulator import import_pybullet as f; f(); f(); print('!', file=sys.stderr)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (found.stdout, found.stderr) == ("", "!\n")

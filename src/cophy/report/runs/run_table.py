@@ -17,6 +17,7 @@ from cophy.training.runs.identity import FAILURE, METRICS, differences, plain_va
 
 log = logging.getLogger(__name__)
 
+MOST_REFUSED = 3  # that are named
 IN_CAPTIONS = "trainer.max_epochs"  # may differ, as sizes may: each table says how long was trained
 
 
@@ -31,24 +32,26 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
         keys_of: From a run's names to the keys of the configuration that they stand for.
 
     Returns:
-        One line each: names, directory, counts, epochs, metric_dims, every test metric and its interval (`_low`, `_high`). A failed
+        (`attrs["skipped"]`: how many cannot be read.) One line each: names, directory, counts, epochs, metric_dims, every test metric and its interval (`_low`, `_high`). A failed
         run has its `error` instead of results; `error` is None for the others. One that was refused before it began is
         left out.
     """
     places = [f"*/*/*/*/*/seed*/{name}" for name in (METRICS, FAILURE)]
-    lines, aside, refused = [], dict[str, list[str]](), 0
+    lines, aside, refused, skipped = [], dict[str, list[str]](), list[Path](), 0
     for path in sorted(found for place in places for found in outputs.glob(place)):
         try:
             line = read_line(path)
             _check_place(line, path.parent)
             changes = _changes(line, path.parent, keys_of(line)) if line["error"] is None else []
         except (CophyError, OmegaConfBaseException) as error:
+            skipped += 1
             log.warning("%s is skipped: %s", path, " ".join(str(error).split()))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError, YAMLError) as error:
+            skipped += 1
             log.warning("%s is skipped: %s: %s", path, type(error).__name__, " ".join(str(error).split()))
         else:
             if line.pop("has_begun", True) is False:
-                refused += 1
+                refused.append(path.parent)
             elif changes:
                 aside.setdefault(", ".join(changes), []).append(" ".join(str(line[name]) for name in NAMES[:3]))
             else:
@@ -58,11 +61,15 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
         said = one if len(names) == 1 else f"{len(names)} runs fill no table, as their configuration is their own"
         log.warning(notice(f"{said} ({reason}): {'; '.join(names)}."))
     if refused:
-        log.info(notice(f"Runs that were refused before they began, and do not count: {refused}."))
+        some = ", ".join(map(str, refused[:MOST_REFUSED])) + (", …" if len(refused) > MOST_REFUSED else "")
+        said = f"Runs that were refused before they began, and do not count: {len(refused)}. Remove their folders to forget them: {some}"
+        log.info(notice(said))
     if elsewhere := len(set(outputs.rglob(METRICS)).difference(*(outputs.glob(place) for place in places))):
         said = f"Runs below {outputs} that do not lie where train.py puts them (hydra.run.dir=), and are not read: {elsewhere}."
         log.info(notice(said))
-    return pd.DataFrame(lines)
+    table = pd.DataFrame(lines)
+    table.attrs["skipped"] = skipped
+    return table
 
 
 def metrics_of(runs: pd.DataFrame) -> list[str]:

@@ -4,6 +4,10 @@ PyBullet has wheels up to CPython 3.11 only; it is imported when a simulator is 
 reports run without it.
 """
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from types import TracebackType
 from typing import Any
 
@@ -15,6 +19,7 @@ from cophy.scenario.physics.simulation_settings import Clock, Solver
 
 BULLET_PENETRATION_THRESHOLD = -0.04  # m; Bullet's defaults
 BULLET_CONTACT_THRESHOLD = 1e18
+STANDARD_ERROR = 2  # its file descriptor
 
 
 class Simulator:
@@ -184,10 +189,24 @@ def _states(bullet: Any, client: int, ids: list[int]) -> list[float]:
 def import_pybullet() -> Any:
     """PyBullet, or an error that says where it can be had."""
     try:
-        import pybullet
+        with nullcontext() if "pybullet" in sys.modules else _silent():
+            import pybullet
     except ImportError as error:
         raise CophyError(
             "generating data needs PyBullet, whose wheels end at Python 3.11 on Linux x86_64: "
             "generate there (just setup), then copy data/ here; training and reports need no PyBullet"
         ) from error
     return pybullet
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Without what C code writes to standard error: PyBullet says when it was built, in every process."""
+    kept = os.dup(STANDARD_ERROR)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), STANDARD_ERROR)
+        yield
+    finally:
+        os.dup2(kept, STANDARD_ERROR)
+        os.close(kept)
