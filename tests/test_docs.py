@@ -51,6 +51,12 @@ def test_no_line_is_long(page: Path) -> None:
     assert [line for line in lines if len(line) > MAX_LINE and not line.lstrip().startswith("|")] == []
 
 
+@pages
+def test_no_line_of_prose_starts_with_a_percent_sign(page: Path) -> None:
+    """Sphinx takes it as a comment."""
+    assert re.findall(r"^%.*", FENCE.sub("", page.read_text()), flags=re.MULTILINE) == []
+
+
 def test_every_page_that_the_code_names_exists() -> None:
     for folder in ("src", "conf", "benchmarks", "tests"):
         for path in (ROOT / folder).rglob("*"):
