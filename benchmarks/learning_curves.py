@@ -43,7 +43,7 @@ def main(outputs: Path, picture: Path) -> None:
             axis.axhline(mse, color="0.5", linestyle="--", label="oracle with AB")
         axis.set(
             xscale="log",
-            title=f"{scenario}, {split}",
+            title=f"{scenario}, {split}, size={size}",
             xlabel="training experiments",
             ylabel="test MSE, m²",
             ylim=(0, None),
