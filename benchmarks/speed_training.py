@@ -125,9 +125,9 @@ def whole_epochs(batch_size: int) -> list[float]:
 def lightning_module(model: CoPhyNet) -> PredictionModule:
     """As a run has it, towers of three."""
     chosen = settings("train")
-    symmetries = chosen.scenario.symmetries()
+    augmentations = chosen.scenario.augmentations()
     return PredictionModule(
-        model, chosen.training, chosen.scenario, symmetries=symmetries, missed_position=torch.zeros(3)
+        model, chosen.training, chosen.scenario, augmentations=augmentations, missed_position=torch.zeros(3)
     )
 
 

@@ -174,7 +174,7 @@ MISTAKES = {
     "ckpt=nowhere.ckpt": "ckpt=nowhere.ckpt is no file",
     f"ckpt={ROOT}/README.md": "is no checkpoint of train.py, or a damaged one",
     "logger=wandb": "logger=wandb needs another package: ",
-    "optimizer=adma": "optimizer=adma does not exist (did you mean adam?); there are adam, adamw",
+    "optimizer=adma": "optimizer=adma does not exist (did you mean adam?); there are adam, adamw, soap",
     "training.optimizer._target_=torch.optim.Adan": "Are you sure that 'Adan' is importable",
     "+training.schedule.factor=2": "cosine_to_zero() got an unexpected keyword argument 'factor'",
     "split.epochs_factor=0": "split: epochs_factor=0 must be at least 1",

@@ -37,21 +37,25 @@ def stopped(directory: Path, data: Path, how: signal.Signals, *devices: str) -> 
     return process.returncode
 
 
-@pytest.mark.parametrize("devices", [(), pytest.param(ON_TWO, marks=pytest.mark.slow)], ids=["one", "two"])
+@pytest.mark.parametrize(
+    "keys",
+    [(), ("optimizer=soap",), pytest.param(ON_TWO, marks=pytest.mark.slow)],
+    ids=["one device", "SOAP", "two devices"],
+)
 def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(
-    tiny_data: Path, tmp_path: Path, devices: tuple[str, ...]
+    tiny_data: Path, tmp_path: Path, keys: tuple[str, ...]
 ) -> None:
-    apart = bool(devices)
-    train(*KEYS, *devices, f"hydra.run.dir={tmp_path / 'whole'}", data=tiny_data, apart=apart)
+    apart = keys is ON_TWO
+    train(*KEYS, *keys, f"hydra.run.dir={tmp_path / 'whole'}", data=tiny_data, apart=apart)
     part = tmp_path / "part"
-    assert stopped(part, tiny_data, signal.SIGTERM, *devices) == 128 + signal.SIGTERM
-    assert stopped(part, tiny_data, signal.SIGKILL, *devices) == -signal.SIGKILL
-    printed = train(*KEYS, *devices, f"hydra.run.dir={part}", data=tiny_data, apart=apart)
+    assert stopped(part, tiny_data, signal.SIGTERM, *keys) == 128 + signal.SIGTERM
+    assert stopped(part, tiny_data, signal.SIGKILL, *keys) == -signal.SIGKILL
+    printed = train(*KEYS, *keys, f"hydra.run.dir={part}", data=tiny_data, apart=apart)
     assert f"goes on where it was stopped: {part / 'checkpoints' / 'last.ckpt'}" in printed
     whole, resumed = result(tmp_path / "whole"), result(part)
     assert (whole["resumed"], resumed["resumed"]) == (0, 2)
     assert {key: whole[key] for key in whole.keys() - TIMES} == {key: resumed[key] for key in resumed.keys() - TIMES}
-    assert "trained already" in train(*KEYS, f"hydra.run.dir={part}", data=tiny_data)
+    assert "trained already" in train(*KEYS, *(() if apart else keys), f"hydra.run.dir={part}", data=tiny_data)
     assert result(part)["resumed"] == 2
 
 

@@ -21,7 +21,7 @@ def module_of(
 ) -> PredictionModule:
     chosen = settings("train", "scenario=blocktower", *overrides)
     return PredictionModule(
-        network, chosen.training, chosen.scenario, symmetries=np.eye(2)[None], missed_position=torch.tensor(missed)
+        network, chosen.training, chosen.scenario, augmentations=np.eye(2)[None], missed_position=torch.tensor(missed)
     )
 
 

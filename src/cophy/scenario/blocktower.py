@@ -17,7 +17,7 @@ from cophy.scenario.search.assignment import Assignment
 from cophy.scenario.search.held_out import half_of_problems
 from cophy.scenario.search.tower_search import TowerSearch
 from cophy.scenario.search.towers import TOWER_BLOCKS, TOWER_CELLS
-from cophy.scenario.symmetry import square
+from cophy.scenario.symmetry import TURNS, disc, square
 
 
 @dataclass
@@ -58,6 +58,10 @@ class Blocktower(Scenario):
     @classmethod
     def symmetries(cls) -> np.ndarray:
         return square()
+
+    @classmethod
+    def augmentations(cls) -> np.ndarray:
+        return disc(TURNS)
 
     @property
     def farthest_m(self) -> float:

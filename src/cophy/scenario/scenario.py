@@ -68,11 +68,8 @@ class Scenario(ABC):
                 raise ValueError(f'scenario.colors.{slot}={color}: a colour is "#rrggbb"')
         unknown = set(self.do_operations) - set(self.known_do_operations())
         if unknown or not self.do_operations:
-            raise ValueError(
-                f"scenario.do_operations: {sorted(unknown)} not among {list(self.known_do_operations())}"
-                if unknown
-                else "scenario.do_operations is empty"
-            )
+            wrong = f"{sorted(unknown)} not among {list(self.known_do_operations())}" if unknown else "none given"
+            raise ValueError(f"scenario.do_operations: {wrong}")
 
     @property
     def num_slots(self) -> int:
@@ -113,6 +110,11 @@ class Scenario(ABC):
     @abstractmethod
     def symmetries(cls) -> np.ndarray:
         """(symmetry, 2, 2) matrices on (x, y) that turn an experiment into one as likely; the first is the identity."""
+
+    @classmethod
+    def augmentations(cls) -> np.ndarray:
+        """(augmentation, 2, 2) matrices by which training experiments are turned into others of the same physics."""
+        return cls.symmetries()
 
     @property
     @abstractmethod

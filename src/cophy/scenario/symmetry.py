@@ -3,12 +3,21 @@
 import numpy as np
 
 MIRROR_Y = np.diag([1, -1])
+TURNS = 64  # of a disc, a multiple of 4: by 5.6° each, finer than a network tells apart
 QUARTER_TURN = np.array([[0, -1], [1, 0]])
 
 
 def mirror() -> np.ndarray:
     """(2, 2, 2) leave as it is, or mirror y."""
     return np.stack([np.eye(2, dtype=int), MIRROR_Y])
+
+
+def disc(turns: int) -> np.ndarray:
+    """(2 · turns, 2, 2) rotations by all multiples of 360° / turns, each without and with a reflection."""
+    angles = 2 * np.pi * np.arange(turns) / turns
+    cos, sin = np.cos(angles), np.sin(angles)
+    rotations = np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)
+    return np.concatenate([rotations, rotations @ MIRROR_Y])
 
 
 def square() -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Every training experiment, turned and mirrored at random as the symmetries of its scenario allow."""
+"""Every training experiment, turned and mirrored at random as the physics of its scenario allows."""
 
 from dataclasses import replace
 
@@ -12,19 +12,19 @@ from cophy.types import HORIZONTAL, POSE_ANGLES, Batch
 
 
 def augment(
-    batch: Batch, symmetries: Float[Tensor, "symmetry 2 2"], draw: tuple[int, ...], share: Share = ALONE
+    batch: Batch, augmentations: Float[Tensor, "augmentation 2 2"], draw: tuple[int, ...], share: Share = ALONE
 ) -> Batch:
-    """Apply to each experiment one of the symmetries, drawn at random.
+    """Apply to each experiment one of the matrices, drawn at random.
 
     Args:
         batch: This device's share of the experiments of a step.
-        symmetries: Of their scenario.
+        augmentations: Of their scenario.
         draw: The choice follows from it alone: seed, epoch and step, so that a resumed training makes the same one.
         share: Of this device.
     """
     rng = np.random.default_rng(draw)
-    choice = rng.integers(len(symmetries), size=share.devices * len(batch))[share.rank :: share.devices]
-    return transform(batch, symmetries[torch.from_numpy(choice).to(symmetries.device)])
+    choice = rng.integers(len(augmentations), size=share.devices * len(batch))[share.rank :: share.devices]
+    return transform(batch, augmentations[torch.from_numpy(choice).to(augmentations.device)])
 
 
 def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:

@@ -36,7 +36,7 @@ class PredictionModule(L.LightningModule):
 
     tested: tuple[Prediction, Batch]
     standing: np.ndarray | None = None
-    symmetries: Float[Tensor, "symmetry 2 2"]
+    augmentations: Float[Tensor, "augmentation 2 2"]
     missed_position: Float[Tensor, "3"]
 
     def __init__(
@@ -45,7 +45,7 @@ class PredictionModule(L.LightningModule):
         training: Training,
         scenario: Scenario,
         *,
-        symmetries: np.ndarray,
+        augmentations: np.ndarray,
         missed_position: Float[Tensor, "3"],
         seed: int = 0,
     ) -> None:
@@ -55,14 +55,14 @@ class PredictionModule(L.LightningModule):
             network: From `Inputs` to `Prediction`.
             training: Weights of the losses, and the learning rate.
             scenario: How predictions are judged, and the values of confounders.
-            symmetries: (symmetry, 2, 2) matrices, by which training experiments are turned at random.
+            augmentations: (augmentation, 2, 2) matrices, by which training experiments are turned at random.
             missed_position: Where an object is predicted that the de-renderer missed in C, metres.
             seed: Of the training: how experiments are turned follows from it, the epoch and the step.
         """
         super().__init__()
         self.network, self.training_settings, self.seed = network, training, seed
         self.register_buffer("missed_position", missed_position, persistent=False)
-        self.register_buffer("symmetries", torch.from_numpy(symmetries).float(), persistent=False)
+        self.register_buffer("augmentations", torch.from_numpy(augmentations).float(), persistent=False)
         self.confounder_heads = _confounder_heads(network, scenario) if training.confounder_weight else None
         measures = {"position": position_measures(scenario.task), "stability": stability_measures()}
         self.metrics = nn.ModuleDict(
@@ -82,7 +82,7 @@ class PredictionModule(L.LightningModule):
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         draw = self.seed, self.current_epoch, batch_idx
         with torch.autocast(self.device.type, enabled=False):  # positions keep their precision in mixed training
-            batch = augment(batch, self.symmetries, draw, Share.of(self.trainer))
+            batch = augment(batch, self.augmentations, draw, Share.of(self.trainer))
         prediction = self(batch)
         self._measure("train", prediction, batch)
         return self._loss("train", prediction, batch)

@@ -77,9 +77,9 @@ def prediction_stage(
         figures_every_n_epochs: How often figures are drawn.
     """
     scenario = data.scenario
-    symmetries = scenario.symmetries() if training.augmentation else scenario.symmetries()[:1]
+    augmentations = scenario.augmentations()[: None if training.augmentation else 1]
     module = PredictionModule(
-        network, training, scenario, symmetries=symmetries, missed_position=data.mean_position, seed=data.seed
+        network, training, scenario, augmentations=augmentations, missed_position=data.mean_position, seed=data.seed
     )
 
     def measure() -> Measured:
