@@ -1,4 +1,4 @@
-"""CoPhyNet's training step: batch sizes and precisions against each other, and what Lightning adds to it."""
+"""CoPhyNet's training step: batch sizes and precisions against each other, `alongside` against it, and what Lightning adds."""
 
 import logging
 import tempfile
@@ -8,7 +8,10 @@ from typing import NamedTuple
 
 import lightning as L
 import torch
+from hydra.utils import instantiate
 from measure import Measured, paired
+from torch import nn
+from torch.optim import Optimizer
 
 from cophy.app.composition import composed, settings, to_plain
 from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
@@ -32,6 +35,7 @@ class Kind(NamedTuple):
     objects: int
 
 
+MODELS = ("cophynet", "alongside")
 KINDS = {"towers, 3 of 4 slots": Kind(4, 3), "balls, 4 of 9 slots": Kind(9, 4)}
 
 
@@ -45,6 +49,8 @@ def measure() -> list[Measured]:
             rows.append(Measured(f"CoPhyNet, {name}, batch {size}", f"experiments/s ÷ that at {default}", ratios))
         for precision, ratios in precisions(default, kind).items():
             rows.append(Measured(f"CoPhyNet, {name}, {precision}", "CPU time ÷ that in float32", ratios))
+        of_both = (repeated(own_training_step(model), random_batch(default, *kind)) for model in reversed(MODELS))
+        rows.append(Measured(f"alongside, {name}, its own optimiser", "CPU time ÷ CoPhyNet's", paired(*of_both), "≤ 3"))
     lightning = Measured("CoPhyNet, Lightning and metrics", "epoch ÷ its bare steps", whole_epochs(default))
     return [*rows, lightning]
 
@@ -57,9 +63,11 @@ def network() -> CoPhyNet:
     return built
 
 
-def training_step(predict: Callable[[Inputs], Prediction], model: CoPhyNet) -> Step:
-    """Forward, backward and Adam."""
-    optimizer = torch.optim.Adam(model.parameters())
+def training_step(
+    predict: Callable[[Inputs], Prediction], model: nn.Module, optimiser: Callable[..., Optimizer] = torch.optim.Adam
+) -> Step:
+    """Forward, backward and a step of the optimiser."""
+    optimizer = optimiser(model.parameters())
 
     def step(batch: Batch) -> None:
         prediction = predict(batch.inputs)
@@ -70,6 +78,14 @@ def training_step(predict: Callable[[Inputs], Prediction], model: CoPhyNet) -> S
         optimizer.step()
 
     return step
+
+
+def own_training_step(model: str) -> Step:
+    """Forward, backward, and the optimiser that conf/model/ chooses."""
+    chosen = composed("train", f"model={model}")
+    torch.manual_seed(0)
+    built = build_network(to_plain(chosen.model))
+    return training_step(built, built, instantiate(chosen.training.optimizer))
 
 
 def training(size: int, kind: Kind) -> Callable[[], object]:
