@@ -1,0 +1,67 @@
+"""Results that stay when outputs/ go: python benchmarks/keep_results.py [outputs [table.csv]]
+
+Adds every finished run to docs/results/results.csv, with the commit of this checkout. A run that is in the table already (the same
+names, data and epochs) is replaced. Run it before the code changes: no file of src/ or conf/ may differ from the commit.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+from measure import ROOT
+
+from cophy.atomic_files import write_atomically
+from cophy.report.runs.stored_run import read_configuration, read_line
+from cophy.training.runs.identity import METRICS
+
+TABLE = ROOT / "docs" / "results" / "results.csv"
+NAMES = ["scenario", "split", "model", "ablation", "positions", "variant", "seed"]
+KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
+MEASURES = ("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy")
+COLUMNS = [
+    *KEY,
+    *("num_test", "training_seconds", "commit"),
+    *(f"{measure}{end}" for measure in MEASURES for end in ("", "_low", "_high")),
+]
+
+
+def main(outputs: Path, table: Path) -> None:
+    """Read, merge, sort, write."""
+    commit = committed()
+    found = pd.DataFrame([line_of(path, commit) for path in sorted(outputs.glob(f"*/*/*/*/*/seed*/{METRICS}"))])
+    if found.empty:
+        sys.exit(f"{outputs}: no finished runs")
+    before = [pd.read_csv(table, keep_default_na=False, dtype=str)] if table.exists() else []
+    merged = pd.concat([*before, found.reindex(columns=COLUMNS).map(as_text)], ignore_index=True)
+    kept = merged.drop_duplicates(KEY, keep="last").sort_values(KEY)
+    write_atomically(table, kept.to_csv(index=False).encode())
+    print(f"{table}: {len(found)} runs of commit {commit}, {len(kept)} in all")
+
+
+def committed() -> str:
+    """The commit that the code of this checkout is of."""
+    changed = subprocess.check_output(["git", "status", "--porcelain", "--", "src", "conf"], cwd=ROOT, text=True)
+    if changed:
+        sys.exit(f"not committed, so nobody could make these results again:\n{changed}")
+    return subprocess.check_output(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, text=True).strip()
+
+
+def line_of(path: Path, commit: str) -> dict[str, object]:
+    """A run's line of the table."""
+    line, configuration = read_line(path), read_configuration(path.parent / ".hydra" / "config.yaml")
+    epochs = configuration.trainer.max_epochs * configuration.split.get("epochs_factor", 1)
+    return line | {"datasets": " ".join(line["dataset_ids"]), "max_epochs": epochs, "commit": commit}
+
+
+def as_text(value: object) -> str:
+    """Four decimals; nothing for what is not there."""
+    if value is None or value != value:
+        return ""
+    return f"{value:.4f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 3 or "--help" in sys.argv:
+        sys.exit(str(__doc__))
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "outputs"), Path(sys.argv[2]) if len(sys.argv) > 2 else TABLE)
