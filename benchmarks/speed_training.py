@@ -16,6 +16,7 @@ from torch.optim import Optimizer
 from cophy.app.composition import composed, settings, to_plain
 from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
 from cophy.models.cophynet import CoPhyNet
+from cophy.training.augmentation import matrices_of
 from cophy.training.losses import position_loss, stability_loss
 from cophy.training.prediction_module import PredictionModule
 from cophy.training.trained.network import build_network
@@ -141,7 +142,7 @@ def whole_epochs(batch_size: int) -> list[float]:
 def lightning_module(model: CoPhyNet) -> PredictionModule:
     """As a run has it, towers of three."""
     chosen = settings("train")
-    augmentations = chosen.scenario.augmentations()
+    augmentations = matrices_of(chosen.scenario, chosen.training.augmentation)
     return PredictionModule(
         model, chosen.training, chosen.scenario, augmentations=augmentations, missed_position=torch.zeros(3)
     )

@@ -11,7 +11,9 @@ from cophy.dataset.feed.appearance_features import poses
 from cophy.dataset.feed.confounder_features import confounder_statistics, standardised
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.physics.scene import Body, Scene, Shape, trajectory_distance
-from cophy.training.augmentation import augment, transform
+from cophy.scenario.symmetry import TURNS
+from cophy.training.augmentation import augment, matrices_of, transform
+from cophy.training.settings import Augmentation
 from cophy.types import HORIZONTAL, Batch
 from tests.conftest import SCENARIOS
 from tests.models.networks import random_batch
@@ -89,6 +91,13 @@ def test_augmentations_are_isometries_and_hold_every_symmetry(name: str, scenari
     )
     for symmetry in scenario_of(name).symmetries():
         assert np.isclose(matrices, symmetry).all(axis=(1, 2)).sum() == 1
+
+
+def test_physics_allows_towers_any_angle_and_all_else_what_is_as_likely(scenario_of) -> None:
+    counts = {
+        name: [len(matrices_of(scenario_of(name), choice)) for choice in Augmentation] for name in sorted(SCENARIOS)
+    }
+    assert counts == {"balls": [1, 8, 8], "blocktower": [1, 8, 2 * TURNS], "collision": [1, 8, 8]}
 
 
 def quarter_turns(batch: Batch) -> torch.Tensor:

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from enum import Enum
 from textwrap import wrap
 from typing import Any
 
@@ -87,7 +88,9 @@ def _value(config: DictConfig, key: str) -> str:
 def _plain(value: Any) -> str:
     """As one writes it on the command line."""
     if OmegaConf.is_config(value):
-        value = OmegaConf.to_container(value)
+        value = OmegaConf.to_container(value, enum_to_str=True)
+    if isinstance(value, Enum):
+        return value.name
     return value if isinstance(value, str) else json.dumps(value).replace('"', "").replace(" ", "")
 
 

@@ -8,23 +8,30 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cophy.dataset.feed.batch_order import ALONE, Share
+from cophy.scenario import Scenario
+from cophy.training.settings import Augmentation
 from cophy.types import HORIZONTAL, POSE_ANGLES, Batch
 
 
-def augment(
-    batch: Batch, augmentations: Float[Tensor, "augmentation 2 2"], draw: tuple[int, ...], share: Share = ALONE
-) -> Batch:
+def matrices_of(scenario: Scenario, augmentation: Augmentation) -> np.ndarray:
+    """(matrix, 2, 2) on (x, y), by one of which each training experiment is turned; the first is the identity."""
+    if augmentation is Augmentation.physics:
+        return scenario.augmentations()
+    return scenario.symmetries()[: None if augmentation is Augmentation.symmetries else 1]
+
+
+def augment(batch: Batch, matrices: Float[Tensor, "matrix 2 2"], draw: tuple[int, ...], share: Share = ALONE) -> Batch:
     """Apply to each experiment one of the matrices, drawn at random.
 
     Args:
         batch: This device's share of the experiments of a step.
-        augmentations: Of their scenario.
+        matrices: See `matrices_of`.
         draw: The choice follows from it alone: seed, epoch and step, so that a resumed training makes the same one.
         share: Of this device.
     """
     rng = np.random.default_rng(draw)
-    choice = rng.integers(len(augmentations), size=share.devices * len(batch))[share.rank :: share.devices]
-    return transform(batch, augmentations[torch.from_numpy(choice).to(augmentations.device)])
+    choice = rng.integers(len(matrices), size=share.devices * len(batch))[share.rank :: share.devices]
+    return transform(batch, matrices[torch.from_numpy(choice).to(matrices.device)])
 
 
 def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:

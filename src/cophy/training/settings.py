@@ -1,7 +1,16 @@
 """How predictors are trained (`training` in conf/train.yaml)."""
 
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any
+
+
+class Augmentation(Enum):
+    """By what training experiments are turned at random: nothing, what makes them as likely, or all that physics allows."""
+
+    none = "none"
+    symmetries = "symmetries"
+    physics = "physics"
 
 
 @dataclass
@@ -14,7 +23,7 @@ class Training:
 
     batch_size: int
     learning_rate: float
-    augmentation: bool
+    augmentation: Augmentation
     position_weight: float
     stability_weight: float
     confounder_weight: float

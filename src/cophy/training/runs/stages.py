@@ -9,6 +9,7 @@ from torch import nn
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.feed.frame_datamodule import FrameDataModule
 from cophy.models.derenderer import Derenderer
+from cophy.training.augmentation import matrices_of
 from cophy.training.callbacks.derendering_figures import DerenderingFigures
 from cophy.training.callbacks.prediction_figures import PredictionFigures
 from cophy.training.derendering_module import DerenderingModule
@@ -77,7 +78,7 @@ def prediction_stage(
         figures_every_n_epochs: How often figures are drawn.
     """
     scenario = data.scenario
-    augmentations = scenario.augmentations()[: None if training.augmentation else 1]
+    augmentations = matrices_of(scenario, training.augmentation)
     module = PredictionModule(
         network, training, scenario, augmentations=augmentations, missed_position=data.mean_position, seed=data.seed
     )
