@@ -16,7 +16,7 @@ from cophy.report.runs.stored_run import read_configuration, read_line
 from cophy.training.runs.identity import METRICS
 
 TABLE = ROOT / "docs" / "results" / "results.csv"
-NAMES = ["scenario", "split", "model", "ablation", "positions", "variant", "seed"]
+NAMES = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]
 KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
 MEASURES = ("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy")
 COLUMNS = [

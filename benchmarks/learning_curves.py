@@ -1,7 +1,7 @@
-"""What more data bring: python benchmarks/learning_curves.py [outputs [picture.png]]
+"""What more data bring: python benchmarks/learning_curves.py [table.csv [picture.png]]
 
-Draws the test MSE over the number of training experiments, for every model that was trained on several
-(training.num_experiments=) with its other settings as conf/ has them. Prints the numbers as a Markdown table.
+Draws the test MSE over the number of training experiments, for every row of docs/results/results.csv that was trained on several
+numbers (training.num_experiments=, size=), with its other settings as conf/ has them. Prints the numbers as a Markdown table.
 """
 
 import sys
@@ -9,41 +9,33 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pandas as pd
+from keep_results import TABLE
 from matplotlib.ticker import NullFormatter, ScalarFormatter
+from measure import ROOT
 
-from cophy.report.runs.stored_run import read_line
-from cophy.training.runs.identity import METRICS
-
-CURVE = ["scenario", "split", "size", "model"]
-ORACLE = "oracle_counterfactual"
+PANEL = ["scenario", "split"]
+CURVE = [*PANEL, "model", "ablation"]
+PICTURE = ROOT / "docs" / "pictures" / "learning-curves.png"
+SIZES = ["small", "paper"]
 PLAIN = r"(\+size-\w+)?(\+num_experiments-\d+)?"  # what may differ from conf/
 
 
-def main(outputs: Path, picture: Path) -> None:
+def main(table: Path, picture: Path) -> None:
     """Print and draw."""
-    found = mean_over_seeds(
-        pd.DataFrame([read_line(path) for path in outputs.glob(f"*/*/*/full/ground_truth/seed*/{METRICS}")])
-    )
-    several = found.groupby(CURVE)["num_train"].transform("nunique") > 1
-    curves, oracles = found[several], found[found["model"] == ORACLE]
-    print(
-        curves.drop(columns=["low", "high"]).to_markdown(
-            index=False, floatfmt=("", "", "", "", ".0f", ".3f", ".2f", "")
-        )
-    )
-    panels = list(curves.groupby(CURVE[:3]))
+    runs = pd.read_csv(table)
+    found = mean_over_seeds(runs[runs["size"].isin(SIZES) & (runs["positions"] == "ground_truth")])
+    curves = found[found.groupby(CURVE)["num_train"].transform("nunique") > 1]
+    print(curves.drop(columns=["low", "high"]).to_markdown(index=False, floatfmt=("", "", "", "", "", ".3f", ".2f")))
+    panels = list(curves.groupby(PANEL))
     figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3.2), squeeze=False, layout="constrained")
-    for axis, ((scenario, split, size), panel) in zip(axes[0], panels, strict=True):
-        for model, line in panel.groupby("model"):
-            line = line.sort_values("num_train")
-            (drawn,) = axis.plot(line["num_train"], line["mse"], marker="o", label=model)
+    for axis, ((scenario, split), panel) in zip(axes[0], panels, strict=True):
+        for (model, ablation), line in panel.groupby(["model", "ablation"]):
+            label = model if ablation == "full" else f"{model}, {ablation}"
+            (drawn,) = axis.plot(line["num_train"], line["mse"], marker="o", label=label)
             axis.fill_between(line["num_train"], line["low"], line["high"], color=drawn.get_color(), alpha=0.15)
-        known = oracles[(oracles["scenario"] == scenario) & (oracles["split"] == split) & (oracles["size"] == size)]
-        for mse in known["mse"]:
-            axis.axhline(mse, color="0.5", linestyle="--", label="oracle with AB")
         axis.set(
             xscale="log",
-            title=f"{scenario}, {split}, size={size}",
+            title=f"{scenario}, {split}",
             xlabel="training experiments",
             ylabel="test MSE, m²",
             ylim=(0, None),
@@ -58,9 +50,9 @@ def main(outputs: Path, picture: Path) -> None:
 def mean_over_seeds(runs: pd.DataFrame) -> pd.DataFrame:
     """A line per curve and number of experiments: MSE with the mean of its intervals, twin difference explained, seeds.
 
-    Runs that change more than the number of experiments, or were shorter than others, are left out.
+    Runs that change more than the number of experiments are left out.
     """
-    kept = runs[runs["variant"].str.fullmatch(PLAIN)]
+    kept = runs[runs["variant"].fillna("").str.fullmatch(PLAIN)]
     return (
         kept.groupby([*CURVE, "num_train"])
         .agg(
@@ -75,7 +67,7 @@ def mean_over_seeds(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 3:
+    if len(sys.argv) > 3 or "--help" in sys.argv:
         sys.exit(str(__doc__))
     given = dict(enumerate(sys.argv))
-    main(Path(given.get(1, "outputs")), Path(given.get(2, "learning-curves.png")))
+    main(Path(given.get(1, TABLE)), Path(given.get(2, PICTURE)))

@@ -26,7 +26,7 @@ from cophy.scenario.rendering.renderer import Renderer
 from cophy.scenario.search.towers import TOWER_CELLS
 
 HERE = Path(__file__).parent
-RUNS = HERE.parent / "results" / "results_format3.csv"
+RUNS = HERE.parent / "results" / "results.csv"
 EXPERIMENT = 4  # A falls, C stands; its twin, 5, falls in both
 NEAR = Camera(eye=[-0.35, -9.5, 2.9], target=[-0.35, 0.0, 1.3], field_of_view_deg=32)
 PIXELS = 420
@@ -213,7 +213,8 @@ def oracles() -> Figure:
     mse: dict[str, list[float]] = defaultdict(list)
     with RUNS.open() as file:
         for run in csv.DictReader(file):
-            if (run["scenario"], run["split"], run["ablation"]) == ("collision", "all", "full"):
+            own = [run[name] for name in ("scenario", "split", "ablation", "size", "variant")]
+            if own == ["collision", "all", "full", "small", ""]:
                 mse[run["model"]].append(float(run["mse"]))
     names = {"oracle_feedforward": "oracle without AB", "oracle_counterfactual": "oracle with AB", "copy_b": "copy B"}
     names |= {"in": "IN (without AB)", "cophynet": "CoPhyNet"}
