@@ -3,7 +3,7 @@
 import numpy as np
 
 MIRROR_Y = np.diag([1, -1])
-TURNS = 64  # of a disc, a multiple of 4: by 5.6° each, finer than a network tells apart
+TURNS = 64  # ours: by 5.6° each; a multiple of 4, so that the symmetries of a square are among them
 QUARTER_TURN = np.array([[0, -1], [1, 0]])
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 
 class Augmentation(Enum):
-    """By what training experiments are turned at random: nothing, what makes them as likely, or all that physics allows."""
+    """Into what training experiments are turned: nothing else, others that are as likely, or any of the same physics."""
 
     none = "none"
     symmetries = "symmetries"
