@@ -5,6 +5,8 @@ from dataclasses import replace
 import torch
 
 from cophy.models.alongside.alongside import no_longer_than
+from cophy.models.alongside.own import HIGH, Own
+from cophy.models.appearance import Appearance
 from cophy.types import Inputs
 from tests.models.networks import build, random_batch
 
@@ -20,6 +22,15 @@ def test_objects_go_nowhere_in_leaps_once_it_is_trained() -> None:
     far = replace(inputs, observed=100 * inputs.observed)
     assert longest_step(network.train()(far).position, inputs) > 10
     assert longest_step(network.eval()(far).position, inputs) <= 0.5 + 1e-4
+
+
+def test_what_is_high_up_is_as_high_as_all_that_is_out_of_the_ground_s_reach() -> None:
+    """A model trained on three blocks so knows the height of a fourth."""
+    own, inputs = Own(None, Appearance(object_type=False, pose=False)), random_batch(1, [3]).inputs
+    heights = torch.tensor([0.5, HIGH, 3.5])
+    position = torch.stack([torch.zeros(3), torch.ones(3), heights], dim=-1)[None]
+    seen = own.of(position, torch.zeros_like(position), torch.tensor(1.0), inputs)
+    torch.testing.assert_close(seen[0, :, 0], torch.tensor([0.5, HIGH, HIGH]))
 
 
 def longest_step(position: torch.Tensor, inputs: Inputs) -> float:

@@ -9,10 +9,12 @@ from torch import Tensor
 from cophy.models.appearance import Appearance
 from cophy.types import Inputs
 
+HIGH = 2.0  # metres: from higher up nothing falls to the ground in the next step of 0.2 s, so more height says no more
+
 
 @dataclass(frozen=True)
 class Own:
-    """Height, motion, how it looks, and where it is between walls if there are any.
+    """Height up to `HIGH`, motion, how it looks, and where it is between walls if there are any.
 
     Attributes:
         arena_half_width: From the middle to each of four walls, metres; None where there are none. Without walls an object
@@ -43,7 +45,7 @@ class Own:
             reach: Metres between two centres as they touch, twice what is between a centre and a wall.
             inputs: What else is known.
         """
-        own = [position[..., 2:], motion]
+        own = [position[..., 2:].clamp(max=HIGH), motion]
         if self.arena_half_width is not None:
             following = (position + motion)[..., :2]
             beyond = (following.abs() - (self.arena_half_width - reach / 2)).relu() * following.sign()
