@@ -125,7 +125,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     assert "nowhere/blocktower/3-tiny-" in printed
     assert not (tmp_path / "elsewhere" / "difficulty.md").exists()
     row = next(line for line in markdown.splitlines() if line.startswith("| 3→3 "))
-    assert row.count("—") == 3 + 5 * 2  # IN, NPE, IN sup.; alongside and oracles: no numbers in the paper either
+    assert row.count("—") == 3 + 6 * 2  # IN, NPE, IN sup.; both alongside and oracles: no numbers in the paper either
     assert "Size tiny: 34 training and 4 test experiments; 1 epochs; seeds 0." in markdown
     assert (
         (tmp_path / "report" / "blocktower.csv")

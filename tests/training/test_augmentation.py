@@ -8,13 +8,14 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from cophy.dataset.feed.appearance_features import poses
+from cophy.dataset.feed.batch_order import Share
 from cophy.dataset.feed.confounder_features import confounder_statistics, standardised
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.physics.scene import Body, Scene, Shape, trajectory_distance
 from cophy.scenario.symmetry import TURNS
-from cophy.training.augmentation import augment, matrices_of, transform
+from cophy.training.augmentation import augment, disturb, matrices_of, transform
 from cophy.training.settings import Augmentation
-from cophy.types import HORIZONTAL, Batch
+from cophy.types import HORIZONTAL, Batch, take
 from tests.conftest import SCENARIOS
 from tests.models.networks import random_batch
 
@@ -165,3 +166,20 @@ def test_every_augmentation_is_drawn(tower_batch: Batch, scenario_of) -> None:
     matrices = torch.from_numpy(scenario_of("balls").augmentations()).float()
     drawn = (augment(tower_batch, matrices, (step,)).inputs.initial[0, :, :2] for step in range(100))
     assert len({tuple(xy.flatten().tolist()) for xy in drawn}) == 8
+
+
+def test_noise_is_as_large_as_asked_and_d_stays_true() -> None:
+    batch = random_batch(4, [4] * 300, num_frames=20)
+    seen = disturb(batch, 0.1, (0, 1, 2))
+    assert seen.targets is batch.targets
+    deviation = (seen.inputs.observed - batch.inputs.observed).std(dim=(1, 2, 3))
+    assert 0.1 < deviation.max() < 0.12  # with an estimate's own spread
+    assert 0.045 < deviation.mean() < 0.055
+    assert deviation.min() < 0.01  # nearly true ones are among them
+    off = seen.inputs.initial - batch.inputs.initial
+    torch.testing.assert_close(off.std(), torch.tensor(0.1 / 3**0.5), rtol=0.1, atol=0)
+    for device in range(2):
+        half = take(batch, slice(device, None, 2))
+        torch.testing.assert_close(
+            disturb(half, 0.1, (0, 1, 2), Share(2, device)).inputs.observed, seen.inputs.observed[device::2]
+        )

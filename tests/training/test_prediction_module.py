@@ -4,10 +4,12 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
+import lightning as L
 import numpy as np
 import pytest
 import torch
-from torch import nn
+from torch import Tensor, nn
+from torch.utils.data import DataLoader
 
 from cophy.app.composition import settings
 from cophy.errors import CophyError
@@ -88,3 +90,32 @@ def test_a_missed_object_counts_as_predicted_at_the_mean_of_training(tower_batch
     assert missed.any()
     assert (position[missed][:, :, 2] == torch.tensor([1.0, 2.0, 3.0])).all()
     torch.testing.assert_close(position[:, :, 1], tower_batch.inputs.initial[:, None, 1].expand(-1, 29, -1))
+
+
+class Recording(nn.Module):
+    """Copies C, a little off, and keeps what it saw of AB in training and in validation."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.off = nn.Parameter(torch.zeros(3))
+        self.seen: dict[bool, Tensor] = {}
+
+    def forward(self, inputs: Inputs) -> Prediction:
+        self.seen[self.training] = inputs.observed
+        return Prediction(CopyC()(inputs).position + self.off)
+
+
+def test_noise_is_of_training_alone(tower_batch: Batch) -> None:
+    network = Recording()
+    module = module_of(network, "training.position_noise=0.1")
+    quiet = {
+        "logger": False,
+        "enable_checkpointing": False,
+        "enable_progress_bar": False,
+        "enable_model_summary": False,
+    }
+    trainer = L.Trainer(max_epochs=1, accelerator="cpu", num_sanity_val_steps=0, **quiet)
+    batches = DataLoader([tower_batch], batch_size=None)
+    trainer.fit(module, batches, batches)
+    assert torch.equal(network.seen[False], tower_batch.inputs.observed)
+    assert 0.01 < (network.seen[True] - tower_batch.inputs.observed).std() < 0.1

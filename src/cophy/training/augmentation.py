@@ -1,4 +1,4 @@
-"""Every training experiment, turned and mirrored at random as the physics of its scenario allows."""
+"""Every training experiment, turned and mirrored at random as the physics of its scenario allows, and seen less exactly."""
 
 from dataclasses import replace
 
@@ -44,6 +44,27 @@ def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:
         turned.pose = _turned_pose(inputs.pose, matrices)
     truth = replace(targets, position=_turned(targets.position, matrices), initial=_turned(targets.initial, matrices))
     return Batch(turned, truth)
+
+
+def disturb(batch: Batch, most: float, draw: tuple[int, ...], share: Share = ALONE) -> Batch:
+    """The batch as if a de-renderer had seen AB and C: every coordinate in every frame is off, independently. D stays true.
+
+    Args:
+        batch: This device's share of the experiments of a step.
+        most: Standard deviation, metres. That of each experiment is drawn between 0 and this, so that true positions are
+            among what is seen.
+        draw: As that of `augment`.
+        share: Of this device.
+    """
+    rng, inputs = np.random.default_rng((*draw, len(draw))), batch.inputs  # other numbers than those of `augment`
+    deviation = rng.uniform(0, most, share.devices * len(batch)).astype(np.float32)
+
+    def off(position: Float[Tensor, "batch *any 3"]) -> Float[Tensor, "batch *any 3"]:
+        shape = (len(deviation), *position.shape[1:])
+        noise = rng.standard_normal(shape, dtype=np.float32) * deviation.reshape(-1, *[1] * (len(shape) - 1))
+        return position + torch.from_numpy(noise[share.rank :: share.devices]).to(position)
+
+    return replace(batch, inputs=replace(inputs, observed=off(inputs.observed), initial=off(inputs.initial)))
 
 
 def _turned(

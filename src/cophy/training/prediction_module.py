@@ -14,7 +14,7 @@ from torchmetrics import MetricCollection
 from cophy.dataset.feed.batch_order import Share
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
-from cophy.training.augmentation import augment
+from cophy.training.augmentation import augment, disturb
 from cophy.training.losses import confounder_loss, position_loss, stability_loss
 from cophy.training.measures.gathering import of_all_devices
 from cophy.training.measures.metrics import collection, mean_squared_error, position_measures, stability_measures
@@ -80,9 +80,11 @@ class PredictionModule(L.LightningModule):
         return place_missed(prediction, batch, self.missed_position)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        draw = self.seed, self.current_epoch, batch_idx
+        draw, share = (self.seed, self.current_epoch, batch_idx), Share.of(self.trainer)
+        noise = self.training_settings.position_noise
         with torch.autocast(self.device.type, enabled=False):  # positions keep their precision in mixed training
-            batch = augment(batch, self.augmentations, draw, Share.of(self.trainer))
+            batch = augment(batch, self.augmentations, draw, share)
+            batch = disturb(batch, noise, draw, share) if noise else batch
         prediction = self(batch)
         self._measure("train", prediction, batch)
         return self._loss("train", prediction, batch)
