@@ -16,7 +16,7 @@ from measure import ROOT
 PANEL = ["scenario", "split"]
 CURVE = [*PANEL, "model", "ablation"]
 PICTURE = ROOT / "docs" / "pictures" / "learning-curves.png"
-SIZES = ["small", "paper"]
+SIZES = ["small", "12k", "paper"]
 PLAIN = r"(\+size-\w+)?(\+num_experiments-\d+)?"  # what may differ from conf/
 
 
