@@ -156,6 +156,7 @@ MISTAKES = {
     "learning_rat=1": "(did you mean training.learning_rate?)",
     "model.hidden_dim=0": "model: hidden_dim",
     "training.learning_rate=-1": "training: batch_size and learning_rate must be positive",
+    "training.position_noise=-1": "noise and weights not negative",
     "positions=guessed": "positions=guessed is not among ground_truth",
     "scenario=blocktower confounders=released": "confounders=released does not go with this scenario, which has one grid; it goes with balls and collision",
     "scenario=balls confounders=relesed": "confounders=relesed does not exist (did you mean released?); there are released, text",

@@ -172,6 +172,9 @@ def test_noise_is_as_large_as_asked_and_d_stays_true() -> None:
     batch = random_batch(4, [4] * 300, num_frames=20)
     seen = disturb(batch, 0.1, (0, 1, 2))
     assert seen.targets is batch.targets
+    torch.testing.assert_close(disturb(batch, 0.1, (0, 1, 2)).inputs.observed, seen.inputs.observed)
+    for draw in ((1, 1, 2), (0, 2, 2), (0, 1, 3)):
+        assert not torch.equal(disturb(batch, 0.1, draw).inputs.observed, seen.inputs.observed)
     deviation = (seen.inputs.observed - batch.inputs.observed).std(dim=(1, 2, 3))
     assert 0.1 < deviation.max() < 0.12  # with an estimate's own spread
     assert 0.045 < deviation.mean() < 0.055

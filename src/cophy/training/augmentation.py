@@ -47,12 +47,14 @@ def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:
 
 
 def disturb(batch: Batch, most: float, draw: tuple[int, ...], share: Share = ALONE) -> Batch:
-    """The batch as if a de-renderer had seen AB and C: every coordinate in every frame is off, independently. D stays true.
+    """The batch with positions of AB and C about as inexact as a de-renderer's: every coordinate in every frame is off.
+
+    All are off independently of each other. D, presence and what is said about stability stay true.
 
     Args:
         batch: This device's share of the experiments of a step.
-        most: Standard deviation, metres. That of each experiment is drawn between 0 and this, so that true positions are
-            among what is seen.
+        most: Largest standard deviation of a coordinate, metres. That of each experiment is drawn between 0 and this, so
+            that nearly true positions are among what is seen.
         draw: As that of `augment`.
         share: Of this device.
     """

@@ -57,7 +57,7 @@ class PredictionModule(L.LightningModule):
             scenario: How predictions are judged, and the values of confounders.
             augmentations: (augmentation, 2, 2) matrices, by which training experiments are turned at random.
             missed_position: Where an object is predicted that the de-renderer missed in C, metres.
-            seed: Of the training: how experiments are turned follows from it, the epoch and the step.
+            seed: Of the training: how experiments are turned, and noise, follow from it, the epoch and the step.
         """
         super().__init__()
         self.network, self.training_settings, self.seed = network, training, seed
