@@ -24,8 +24,8 @@ def test_objects_go_nowhere_in_leaps_once_it_is_trained() -> None:
     assert longest_step(network.eval()(far).position, inputs) <= 0.5 + 1e-4
 
 
-def test_what_is_high_up_is_as_high_as_all_that_is_out_of_the_ground_s_reach() -> None:
-    """A model trained on three blocks so knows the height of a fourth."""
+def test_heights_above_the_limit_count_as_the_limit() -> None:
+    """So a fourth block is no higher than what a training on three blocks has shown."""
     own, inputs = Own(None, Appearance(object_type=False, pose=False)), random_batch(1, [3]).inputs
     heights = torch.tensor([0.5, HIGH, 3.5])
     position = torch.stack([torch.zeros(3), torch.ones(3), heights], dim=-1)[None]
