@@ -1,6 +1,7 @@
 """Counterfactual learning of physical dynamics (CoPhy, ICLR 2020).
 
     data = cophy.load("balls", size="small", split="train")  # a torch Dataset
+    predictor = cophy.load_predictor("outputs/.../checkpoints/best.ckpt")  # D from AB and C
 
 Rooms, each importing only those before it:
 
@@ -25,15 +26,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cophy.app.loading import load as load
+    from cophy.app.loading import load_predictor as load_predictor
 
 __version__ = "0.1.0"
-__all__ = ["load"]
+__all__ = ["load", "load_predictor"]
 
 
 def __getattr__(name: str) -> Any:
-    """`cophy.load`, imported when it is asked for: it needs every room, and every room imports this file."""
-    if name == "load":
-        from cophy.app.loading import load
+    """The public functions, imported when asked for: they need every room, and every room imports this file."""
+    if name in __all__:
+        from cophy.app import loading
 
-        return load
+        return getattr(loading, name)
     raise AttributeError(f"module 'cophy' has no attribute '{name}'")

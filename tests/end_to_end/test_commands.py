@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torch.utils.data import DataLoader
 
+import cophy
 from cophy.training.trained.trained_derenderer import TrainedDerenderer
 from tests.commands import run, train
 from tests.conftest import SCENARIOS
@@ -40,6 +42,12 @@ def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: P
         steps = 14 if name == "collision" else 29
         shape = (4, steps, *predictions["initial"].shape[1:])
         assert predictions["position"].shape == predictions["target"].shape == shape
+        predictor = cophy.load_predictor(tmp_path / "checkpoints" / "best.ckpt")
+        data = cophy.load(name, size="tiny", split="test", data_dir=str(tiny_data))
+        (batch,) = DataLoader(data, batch_size=4)
+        batch["states"][:, 1, 1:] = 0  # D, which is to be predicted
+        present = batch["presence"][:, 1, None, :, None]
+        torch.testing.assert_close(predictor(batch), torch.from_numpy(predictions["position"]) * present)
     assert (tmp_path / ".hydra" / "config.yaml").exists()
     curves = EventAccumulator(str(tmp_path / "tensorboard"))
     curves.Reload()
@@ -89,11 +97,15 @@ def test_resuming_goes_on_where_training_stopped(tiny_data: Path, tmp_path: Path
     assert state("rest") == state("whole")
 
 
-def test_a_checkpoint_of_another_training_is_refused(tiny_data: Path, tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_training_and_weights_alone_are_refused(tiny_data: Path, tmp_path: Path) -> None:
     train("model.hidden_dim=8", f"hydra.run.dir={tmp_path}", data=tiny_data)
     last = tmp_path / "checkpoints" / "last.ckpt"
     printed = train(f"ckpt={last}", f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
     assert "is of another training (model.hidden_dim=8)" in printed
+    best = last.with_name("best.ckpt")
+    assert best.stat().st_size < last.stat().st_size / 2
+    printed = train("model.hidden_dim=8", f"ckpt={best}", f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
+    assert "holds weights alone, for tests and predictions: go on from the run's last.ckpt" in printed
 
 
 def test_generate_refuses_the_split_of_another_scenario(tmp_path: Path) -> None:

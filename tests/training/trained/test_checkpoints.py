@@ -8,14 +8,19 @@ import pytest
 import torch
 
 from cophy.errors import CophyError
-from cophy.training.trained.checkpoints import WholeCheckpoints
+from cophy.training.trained.checkpoints import Origin, WholeCheckpoints
+
+NAMES: dict[str, dict[str, str]] = {"model": {"_target_": "a"}, "scenario": {"name": "b"}, "split": {"name": "c"}}
+ORIGIN = Origin(
+    **NAMES, training={}, size={}, data_seed=0, positions="ground_truth", num_objects=None, render={}, trained_on=[]
+)
 
 
 def test_a_checkpoint_that_cannot_be_written_leaves_the_older_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "checkpoints" / "best.ckpt"
-    WholeCheckpoints().save_checkpoint({"weights": torch.ones(3)}, path)
+    WholeCheckpoints(ORIGIN).save_checkpoint({"weights": torch.ones(3)}, path)
     before, write = path.read_bytes(), Path.write_bytes
 
     def half_then_full(self: Path, content: bytes) -> int:
@@ -24,24 +29,24 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_older_one(
 
     monkeypatch.setattr(Path, "write_bytes", half_then_full)
     with pytest.raises(OSError, match="No space left"):
-        WholeCheckpoints().save_checkpoint({"weights": torch.zeros(3)}, path)
+        WholeCheckpoints(ORIGIN).save_checkpoint({"weights": torch.zeros(3)}, path)
     assert [file.read_bytes() for file in path.parent.iterdir()] == [before]
 
 
 def test_a_flipped_byte_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
     path, rng = tmp_path / "best.ckpt", np.random.default_rng(0)
     saved = {"weights": torch.arange(300.0), "epoch": 3}
-    WholeCheckpoints().save_checkpoint(saved, path)
+    WholeCheckpoints(ORIGIN).save_checkpoint(saved, path)
     content, noticed = path.read_bytes(), 0
     start = content.index(torch.arange(300.0).numpy().tobytes())
     for place in [start + 5, *rng.integers(0, len(content), 300).tolist()]:
         path.write_bytes(content[:place] + bytes([content[place] ^ 64]) + content[place + 1 :])
         try:
-            found = WholeCheckpoints().load_checkpoint(path, weights_only=True)
+            found = WholeCheckpoints(ORIGIN).load_checkpoint(path, weights_only=True)
         except CophyError:
             noticed += 1
         else:
             assert place != start + 5
-            assert found.keys() == saved.keys()
+            assert found.keys() == saved.keys() | {"origin"}
             assert torch.equal(found["weights"], saved["weights"])
     assert noticed > 100

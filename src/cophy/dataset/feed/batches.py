@@ -15,31 +15,37 @@ from cophy.types import Batch, Inputs, Targets
 
 def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
     """Positions at the frame rate, presence and stability of all experiments; without confounders."""
-    stride = scenario.clock.states_per_frame
-    positions = torch.from_numpy(arrays["states"][:, :, ::stride, :, :3].copy())
-    observed_presence, presence = torch.from_numpy(arrays["presence"]).unbind(1)
-    observed_stable, stable = (
-        torch.from_numpy(stable_frames(states, stride, scenario.task.stable_speed))
-        for states in np.moveaxis(arrays["states"], 1, 0)
-    )
-    inputs = Inputs(
-        observed=positions[:, 0],
-        observed_presence=observed_presence,
-        observed_stable=observed_stable,
-        initial=positions[:, 1, 0],
-        presence=presence,
-    )
+    inputs = true_inputs(arrays["states"], arrays["presence"], scenario)
+    counterfactual = arrays["states"][:, 1]
     targets = Targets(
-        position=positions[:, 1, 1:],
-        stable=stable,
-        presence=presence,
-        initial=positions[:, 1, 0],
-        observed_presence=observed_presence,
+        position=_positions(counterfactual, scenario)[:, 1:],
+        stable=_stable(counterfactual, scenario),
+        presence=inputs.presence,
+        initial=inputs.initial,
+        observed_presence=inputs.observed_presence,
         confounder_class=confounder_classes(arrays, scenario.confounders),
         pair=torch.from_numpy(arrays["twin"].astype(np.int64)),
-        cell=torch.from_numpy(arrays.get("cell", np.full(len(positions), -1)).astype(np.int64)),
+        cell=torch.from_numpy(arrays.get("cell", np.full(len(inputs), -1)).astype(np.int64)),
     )
     return Batch(inputs, targets)
+
+
+def true_inputs(states: np.ndarray, presence: np.ndarray, scenario: Scenario) -> Inputs:
+    """AB and C as they were; D is not looked at.
+
+    Args:
+        states: (experiment, 2, T, slot, 13) of AB and CD.
+        presence: (experiment, 2, slot), which slots hold an object.
+        scenario: Says what stable means, and how fast frames follow each other.
+    """
+    observed_presence, counterfactual_presence = torch.from_numpy(presence).unbind(1)
+    return Inputs(
+        observed=_positions(states[:, 0], scenario),
+        observed_presence=observed_presence,
+        observed_stable=_stable(states[:, 0], scenario),
+        initial=torch.from_numpy(states[:, 1, 0, :, :3].copy()),
+        presence=counterfactual_presence,
+    )
 
 
 def estimated_inputs(estimates: dict[str, np.ndarray], scenario: Scenario) -> Inputs:
@@ -73,6 +79,14 @@ def with_estimates(batch: Batch, estimates: dict[str, np.ndarray], scenario: Sce
     """
     seen = estimated_inputs(estimates, scenario)
     return replace(batch, inputs=replace(seen, confounders=batch.inputs.confounders))
+
+
+def _positions(states: np.ndarray, scenario: Scenario) -> Tensor:
+    return torch.from_numpy(states[:, :: scenario.clock.states_per_frame, :, :3].copy())
+
+
+def _stable(states: np.ndarray, scenario: Scenario) -> Tensor:
+    return torch.from_numpy(stable_frames(states, scenario.clock.states_per_frame, scenario.task.stable_speed))
 
 
 def _seems_stable(

@@ -6,7 +6,7 @@ derendering_figures: pictures of what a de-renderer finds, likewise.
 drawing_times: when figures are drawn, and where they go.
 gradient_norm: how large gradients are, averaged over an epoch.
 best_validation: the validation metrics of the best epoch.
-run_checkpoints: what checkpoints hold, and which of them a resumed training goes on with.
+best_checkpoint: the weights with the smallest validation MSE, also where a training was stopped and goes on.
 stopwatch: how long a training took.
 stopping: what happens when a training is stopped.
 """

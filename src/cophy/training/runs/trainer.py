@@ -16,8 +16,8 @@ from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint, Mo
 from lightning.pytorch.loggers import Logger
 
 from cophy.errors import CophyError
+from cophy.training.callbacks.best_checkpoint import BestCheckpoint
 from cophy.training.callbacks.gradient_norm import GradientNorm
-from cophy.training.callbacks.run_checkpoints import BestCheckpoint, SaveOrigin
 from cophy.training.callbacks.stopping import ResumeHint, StopTogether
 from cophy.training.curves import Curves
 from cophy.training.runs.devices import plugins
@@ -104,7 +104,7 @@ def with_epochs(arguments: dict[str, Any], factor: int) -> dict[str, Any]:
 def make_trainer(
     run: Run, origin: Origin, watching: list[L.Callback], loggers: list[Logger], arguments: dict[str, Any]
 ) -> L.Trainer:
-    """A Trainer that keeps the checkpoint with the smallest validation MSE, and the last one.
+    """A Trainer that keeps the weights with the smallest validation MSE, and the last checkpoint, to go on from.
 
     Args:
         run: Says where everything goes.
@@ -114,11 +114,12 @@ def make_trainer(
         arguments: Of `lightning.Trainer` (conf/trainer/).
     """
     callbacks = [
-        BestCheckpoint(run.checkpoints, filename="best", monitor="val/mse", enable_version_counter=False),
+        BestCheckpoint(
+            run.checkpoints, filename="best", monitor="val/mse", save_weights_only=True, enable_version_counter=False
+        ),
         # The last has a callback of its own: with save_last=True Lightning 2.6 writes it only when it is the best.
         # It is written after every epoch, also where validation is rarer.
         ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True),
-        SaveOrigin(origin),
         StopTogether(),
         *([LearningRateMonitor("epoch")] if loggers else []),
         GradientNorm(),
@@ -132,7 +133,7 @@ def make_trainer(
             logger=loggers,
             callbacks=callbacks,
             default_root_dir=run.directory,
-            plugins=[WholeCheckpoints(), *plugins()],
+            plugins=[WholeCheckpoints(origin), *plugins()],
             use_distributed_sampler=False,  # the datamodules share batches among devices themselves
             **arguments,
         )

@@ -4,7 +4,7 @@ import io
 import pickle
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -57,21 +57,28 @@ class Origin:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What is read of a checkpoint: its origin, and the weights of the network alone."""
+    """What is read of a checkpoint: its origin, the weights of the network, and whether a training can go on from it."""
 
     origin: Origin
     weights: dict[str, Tensor]
+    has_optimizer: bool
 
 
 class WholeCheckpoints(TorchCheckpointIO):
     """Writes beside the target and renames; Lightning's own goes through /tmp, and a full disk cuts what was there.
 
     What was damaged since is refused: torch stores checksums, but does not look at them.
+
+    Args:
+        origin: What is trained; it goes into every checkpoint.
     """
+
+    def __init__(self, origin: Origin) -> None:
+        self.origin = origin
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         content = io.BytesIO()
-        torch.save(checkpoint, content)
+        torch.save(checkpoint | {ORIGIN: asdict(self.origin)}, content)
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         write_atomically(Path(path), content.getvalue())
 
@@ -120,4 +127,5 @@ def read_checkpoint(content: bytes, source: Path) -> Checkpoint:
     except ERRORS as error:
         raise CophyError(f"{source} is no checkpoint of train.py, or a damaged one") from error
     of_network = {key: value for key, value in weights.items() if key.startswith(OF_NETWORK)}
-    return Checkpoint(origin, {key.removeprefix(OF_NETWORK): value for key, value in of_network.items()})
+    network = {key.removeprefix(OF_NETWORK): value for key, value in of_network.items()}
+    return Checkpoint(origin, network, has_optimizer="optimizer_states" in saved)

@@ -20,8 +20,11 @@ def check_resumable(ckpt: Path, origin: Origin) -> None:
         CophyError: It is no checkpoint, or of another training; the message names the keys that differ.
     """
     if not ckpt.is_file():
-        raise CophyError(f"ckpt={ckpt} is no file: a run keeps last.ckpt and best.ckpt in its checkpoints/")
-    trained = _weights_depend_on(read_checkpoint(ckpt.read_bytes(), ckpt).origin)
+        raise CophyError(f"ckpt={ckpt} is no file: a run keeps last.ckpt in its checkpoints/")
+    checkpoint = read_checkpoint(ckpt.read_bytes(), ckpt)
+    if not checkpoint.has_optimizer:
+        raise CophyError(f"ckpt={ckpt} holds weights alone, for tests and predictions: go on from the run's last.ckpt")
+    trained = _weights_depend_on(checkpoint.origin)
     wanted = _weights_depend_on(origin)
     if differing := [key for key in sorted(trained.keys() | wanted.keys()) if trained.get(key) != wanted.get(key)]:
         keys = ", ".join(f"{key}={trained.get(key)}" for key in differing)

@@ -4,8 +4,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+from jaxtyping import Float
 from omegaconf import OmegaConf
+from torch import Tensor
 
+from cophy.dataset.feed.batches import true_inputs
 from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
@@ -43,6 +47,20 @@ class TrainedPredictor:
             self.network.load_state_dict(checkpoint.weights)
         except RuntimeError as error:
             raise CophyError(f"predictor={source} does not fit {target} as it is now") from error
+
+    def __call__(self, experiments: Mapping[str, Tensor]) -> Float[Tensor, "batch steps slots 3"]:
+        """D of each experiment from its AB and C.
+
+        Args:
+            experiments: `states` and `presence` of some experiments, as a DataLoader batches those of `cophy.load`.
+                Of CD only C is looked at.
+
+        Returns:
+            Positions in the frames after C, metres; zero in slots that C leaves empty.
+        """
+        inputs = true_inputs(experiments["states"].numpy(), experiments["presence"].numpy(), self.scenario)
+        with torch.no_grad():
+            return self.network(inputs).position * inputs.presence[:, None, :, None]
 
 
 def _scenario(keys: dict[str, Any], scenarios: Mapping[str, type[Scenario]], source: Path) -> Scenario:

@@ -1,23 +1,9 @@
-"""What checkpoints hold, and which of them a resumed training goes on with."""
+"""The best checkpoint of a run."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import lightning as L
 from lightning.pytorch.callbacks import ModelCheckpoint
-
-from cophy.training.trained.checkpoints import ORIGIN, Origin
-
-
-class SaveOrigin(L.Callback):
-    """Write into every checkpoint what it was trained as."""
-
-    def __init__(self, origin: Origin) -> None:
-        self.origin = origin
-
-    def on_save_checkpoint(self, trainer: L.Trainer, pl_module: L.LightningModule, checkpoint: dict[str, Any]) -> None:
-        checkpoint[ORIGIN] = asdict(self.origin)
 
 
 class BestCheckpoint(ModelCheckpoint):
