@@ -1,7 +1,8 @@
 """Is one model better than another? python benchmarks/compare_rows.py alongside cophynet [outputs]
 
-Both were tested on the same experiments, so their errors are compared experiment by experiment. Prints a Markdown table with a
-line per tested split: the seeds that both have, both MSE (mean over seeds), and their difference with its 95 % interval.
+What a run changes beyond its model is named as its directory has it: cophynet+max_epochs-55. Both were tested on the same
+experiments, so their errors are compared experiment by experiment. Prints a Markdown table with a line per tested split: the seeds
+that both have, both MSE (mean over seeds), and their difference with its 95 % interval.
 """
 
 import sys
@@ -16,7 +17,7 @@ from cophy.bootstrap import interval, mean
 from cophy.report.runs.run_table import read_runs
 from cophy.report.tables.shares import stored_errors
 
-TESTED = ["scenario", "split", "positions", "size", "variant", "epochs"]  # what both runs share
+TESTED = ["scenario", "split", "positions", "size"]  # what both runs share
 
 
 def main(ours: str, other: str, outputs: Path) -> None:
@@ -24,10 +25,13 @@ def main(ours: str, other: str, outputs: Path) -> None:
     register()
     runs = read_runs(outputs, ComposedChoices("generated", Path("data")).keys_of)
     finished = runs[runs["error"].isna() & (runs["ablation"] == "full")]
+    name = finished["model"] + finished["variant"].str.replace(r"\+size-\w+", "", regex=True)
+    if unknown := {ours, other} - set(name):
+        sys.exit(f"{outputs}: no run of {', '.join(sorted(unknown))}; there are {', '.join(sorted(set(name)))}")
     lines = [
         dict(zip(TESTED, tested, strict=True)) | line
         for tested, found in finished.groupby(TESTED)
-        if (line := compared(found[found["model"] == ours], found[found["model"] == other]))
+        if (line := compared(*(found[name[found.index] == each] for each in (ours, other))))
     ]
     print(pd.DataFrame(lines).to_markdown(index=False, floatfmt=".3f"))
 
@@ -43,6 +47,7 @@ def compared(ours: pd.DataFrame, other: pd.DataFrame) -> dict[str, object]:
     one, two = (np.mean([each.mse for each in part], axis=0) for part in errors)
     low, high = interval(one - two, errors[0][0].pair)
     return {
+        "epochs": ", ".join(sorted({str(epochs) for rows in (ours, other) for epochs in rows["epochs"]}, key=int)),
         "seeds": ", ".join(map(str, seeds)),
         "MSE": mean(one),
         "other's": mean(two),
