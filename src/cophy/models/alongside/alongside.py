@@ -5,11 +5,15 @@ CoPhyNet squeezes AB into one vector per object. Here the decoder reads AB step 
     AB --messages per frame, over time--> h_t of every object and frame, r of every pair
 
     n_t = [own motion v_t, offset from AB, AB's motion in this step and the next, h_{t+1}]
-    n_t, r, next contacts --messages, GRU--> stability s_t, mixtures m_t, m'_t, corrections c_t, c'_t, drag k_t, impulses J_t
+    n_t, r, how pairs would touch --messages, GRU--> s_t, m_t, m'_t, c_t, c'_t, k_t of every object, J_t of every pair
 
-    Δ_t     = m_t · (AB's motion in this step) + (1 - m_t) · (v_t + (1 - τ_t) J_t + c_t)      with τ_t: when they touch
-    v_{t+1} = m'_t · (AB's motion in the next step) + (1 - m'_t) · (k_t v_t + J_t + c'_t)
+    Δ_t     = m_t · (AB's motion in this step) + (1 - m_t) · (v_t + Σ (1 - τ_t) J_t + c_t)
+    v_{t+1} = m'_t · (AB's motion in the next step) + (1 - m'_t) · (k_t v_t + Σ J_t + c'_t)
     o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t
+
+s is stability, m and m' are mixtures, c and c' corrections, k is how much of a motion is kept. J is what another object
+changes in the motion, at the moment τ of the step at which the two would touch or be nearest. The sums are over all others:
+that objects push only where they touch is learned.
 
 The launch v_0 is AB's first motion, corrected. Once trained, it lets no object move farther in a step than `max_step`: with
 more objects than it has seen, a rollout can run away.
@@ -32,7 +36,7 @@ from cophy.types import Inputs, Prediction
 
 PARTS = (3, 3, 1, 1, 1, 1)  # of a step: c, c', m, m', s, k
 KEPT = 4.0  # a motion is kept to σ(4) = 98 % at first
-FIRST = 0.2  # the last layers start with so much of their usual weights: rollouts begin near inertia
+FIRST = 0.2  # the last layers start with so much of their usual weights: every rollout starts as half of AB, half of inertia
 
 
 class Alongside(nn.Module):
@@ -61,7 +65,7 @@ class Alongside(nn.Module):
             arena_half_width: From the middle to each of four walls, metres; None where there are none.
             max_step: How far an object can move in a step once this is trained, metres.
             replay: Whether a step can be taken over from AB; without, m and m' are 0.
-            impulses: Whether contacts push; without, J is 0.
+            impulses: Whether objects change each other's motion directly; without, J is 0.
             pair_memory: Whether the decoder sees r.
             object_type: Whether it sees what each object is.
             pose: Whether it sees how each object is turned at t = 0.
@@ -80,8 +84,8 @@ class Alongside(nn.Module):
         self.cell = nn.GRUCell(hidden_dim, hidden_dim)
         self.to_step = mlp(hidden_dim + node_dim, hidden_dim, 2, output_dim=sum(PARTS))
         self.launch = mlp(2 * hidden_dim + 3, hidden_dim, 2, output_dim=3)
-        for last in (self.to_step[-1], self.launch[-1], self.push, self.messages.further[-1]):
-            for parameter in () if last is None else last.parameters():
+        for last in filter(None, (self.to_step[-1], self.launch[-1], self.push, self.messages.further[-1])):
+            for parameter in last.parameters():
                 nn.init.uniform_(parameter, -FIRST * hidden_dim**-0.5, FIRST * hidden_dim**-0.5)
 
     def forward(self, inputs: Inputs) -> Prediction:
@@ -90,13 +94,14 @@ class Alongside(nn.Module):
         return unpack(self._predict(packed), slots, inputs.presence.shape[1])
 
     def _predict(self, inputs: Inputs) -> Prediction:
-        ab, seen = inputs.observed, inputs.observed_presence[..., None]  # what a de-renderer missed in AB is not read
+        # what a de-renderer missed in AB seems to lie still there
+        ab, seen = inputs.observed, inputs.observed_presence[..., None]
         motion = (ab[:, 1:] - ab[:, :-1]) * seen[:, None]
         before = torch.cat([motion[:, :1], motion], dim=1)
         after = torch.cat([motion[:, 1:], motion[:, -1:], motion[:, -1:]], dim=1)
         history, seen_messages = self.history(inputs, before, after)
         graph = hear_mean_of_others(inputs.presence, ab.dtype)
-        meets = graph.pair_weights > 0
+        both_present = graph.pair_weights > 0
         both_seen = others(inputs.observed_presence)[..., None] & inputs.observed_presence[:, None, :, None]
         memory = [] if self.memory is None else [self.memory(seen_messages) * both_seen]
         velocity = motion[:, 0] + self.launch(torch.cat([history[:, 0], motion[:, 0]], dim=-1)) * seen
@@ -116,7 +121,7 @@ class Alongside(nn.Module):
             mixture, next_mixture = (torch.sigmoid(each) * self.replay for each in (mixture, next_mixture))
             displacement, velocity = velocity + shift, velocity * torch.sigmoid(kept + KEPT) + turn
             if self.push is not None:
-                impulse = contact.impulse(self.push(messages)) * meets
+                impulse = contact.impulse(self.push(messages)) * both_present
                 displacement = displacement + ((1 - contact.moment) * impulse).sum(dim=1)
                 velocity = velocity + impulse.sum(dim=1)
             displacement = mixture * motion[:, step] + (1 - mixture) * displacement

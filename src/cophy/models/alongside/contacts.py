@@ -22,7 +22,8 @@ class Contact:
     """What each object is about to meet in each of the others (in the order of `others`).
 
     Attributes:
-        moment: Share of the step until they touch, or else are nearest; 1 if they only come nearer later.
+        moment: Share of the step until they touch, or else are nearest: 0 if they part or overlap already, 1 if they come nearer
+            still after it.
         normal: Unit vector from the object to the other at that moment.
         approach: Speed of the other along the normal, as seen from the object, metres per step; negative as they approach.
         slip: What is left of that velocity, metres per step.

@@ -15,8 +15,8 @@ from cophy.types import Inputs
 class History(nn.Module):
     """Messages per frame, then a GRU over time in both directions.
 
-    A collision between two frames leaves a step that belongs to neither motion. So the change at a frame is from the step
-    before that frame to the step after the next.
+    If two objects collide between two frames, that step mixes the motions before and after. So the change at a frame is from
+    the step before it to the step after the next frame. At the end, where none is left, the last motion is repeated.
     """
 
     def __init__(self, own: Own, contacts: Contacts, hidden_dim: int, edge_layers: int) -> None:

@@ -41,7 +41,7 @@ class Own:
 
         Args:
             position: Centres, metres.
-            motion: What each would move in the next step, metres.
+            motion: What each moved in the last step, taken for the next one too, metres.
             reach: Metres between two centres as they touch, twice what is between a centre and a wall.
             inputs: What else is known.
         """
