@@ -11,29 +11,41 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from cophy.app.report_choices import ComposedChoices
-from cophy.app.schemas.registration import register
 from cophy.bootstrap import interval, mean
-from cophy.report.runs.run_table import read_runs
+from cophy.report.runs.stored_run import read_configuration, read_line
 from cophy.report.tables.shares import stored_errors
+from cophy.training.runs.identity import METRICS
 
 TESTED = ["scenario", "split", "positions", "size"]  # what both runs share
 
 
 def main(ours: str, other: str, outputs: Path) -> None:
     """Compare two models, both with ablation=full, wherever both were run."""
-    register()
-    runs = read_runs(outputs, ComposedChoices("generated", Path("data")).keys_of)
-    finished = runs[runs["error"].isna() & (runs["ablation"] == "full")]
-    name = finished["model"] + finished["variant"].str.replace(r"\+size-\w+", "", regex=True)
-    if unknown := {ours, other} - set(name):
-        sys.exit(f"{outputs}: no run of {', '.join(sorted(unknown))}; there are {', '.join(sorted(set(name)))}")
+    paths = sorted(outputs.glob(f"*/*/*/full/*/seed*/{METRICS}"))
+    if not paths:
+        sys.exit(f"{outputs}: no finished runs")
+    runs = pd.DataFrame([run_of(path) for path in paths])
+    if unknown := {ours, other} - set(runs["name"]):
+        known = ", ".join(sorted(set(runs["name"])))
+        sys.exit(f"{outputs}: no run of {', '.join(sorted(unknown))}; there are {known}")
     lines = [
         dict(zip(TESTED, tested, strict=True)) | line
-        for tested, found in finished.groupby(TESTED)
-        if (line := compared(*(found[name[found.index] == each] for each in (ours, other))))
+        for tested, found in runs.groupby(TESTED)
+        if (line := compared(found[found["name"] == ours], found[found["name"] == other]))
     ]
     print(pd.DataFrame(lines).to_markdown(index=False, floatfmt=".3f"))
+
+
+def run_of(path: Path) -> dict[str, object]:
+    """A run's line, the name that it has here, and what its errors are read with."""
+    line, configuration = read_line(path), read_configuration(path.parent / ".hydra" / "config.yaml")
+    variant = line["variant"].replace(f"+size-{line['size']}", "")
+    return line | {
+        "name": f"{line['model']}{variant}",
+        "directory": path.parent,
+        "metric_dims": configuration.scenario.task.metric_dims,
+        "epochs": configuration.trainer.max_epochs * configuration.split.get("epochs_factor", 1),
+    }
 
 
 def compared(ours: pd.DataFrame, other: pd.DataFrame) -> dict[str, object]:
