@@ -1,6 +1,7 @@
 """Checkpoints are there whole or not at all."""
 
 import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 import torch
 
 from cophy.errors import CophyError
-from cophy.training.trained.checkpoints import Origin, WholeCheckpoints
+from cophy.training.trained.checkpoints import Origin, WholeCheckpoints, read_bytes
 
 NAMES: dict[str, dict[str, str]] = {"model": {"_target_": "a"}, "scenario": {"name": "b"}, "split": {"name": "c"}}
 ORIGIN = Origin(
@@ -50,3 +51,11 @@ def test_a_flipped_byte_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
             assert found.keys() == saved.keys() | {"origin"}
             assert torch.equal(found["weights"], saved["weights"])
     assert noticed > 100
+
+
+def test_what_is_larger_than_any_checkpoint_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "best.ckpt"
+    path.touch()
+    os.truncate(path, 2**40)  # nothing of it lies on the disk
+    with pytest.raises(CophyError, match=r"best\.ckpt is no checkpoint of train\.py: it is larger than 4 GiB"):
+        read_bytes(path)

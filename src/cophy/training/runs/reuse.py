@@ -19,7 +19,7 @@ from torch import nn
 import cophy
 from cophy.atomic_files import read_plain, sha256, write_atomically
 from cophy.training.runs.identity import Run
-from cophy.training.trained.checkpoints import Origin
+from cophy.training.trained.checkpoints import Origin, read_bytes
 
 log = logging.getLogger(__name__)
 
@@ -102,7 +102,7 @@ def begin(run: Run, wanted: str, *, anew: bool, given: Path | None = None) -> in
     known = _read(run.checkpoints, BEGUN)
     goes_on = not anew and known.get("fingerprint") == wanted and _whole(run.checkpoints)
     if not goes_on:
-        best = given.with_name("best.ckpt").read_bytes() if given and given.with_name("best.ckpt").is_file() else None
+        best = read_bytes(given.with_name("best.ckpt")) if given and given.with_name("best.ckpt").is_file() else None
         _set_aside(run.checkpoints, known, given)
         forget_checkpoints(run)
         if best is not None:

@@ -16,6 +16,7 @@ from cophy.atomic_files import write_atomically
 from cophy.errors import CophyError
 
 ORIGIN = "origin"  # the key under which a checkpoint says what it is
+MAX_BYTES = 4 << 30  # ours: a predictor has a megabyte, the paper's de-renderer some hundred
 OF_NETWORK = "network."  # how the names of the network's weights start
 ERRORS = (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, AttributeError, IndexError, EOFError, ValueError)
 
@@ -96,6 +97,8 @@ def read_bytes(path: Path) -> bytes:
         raise CophyError(
             f"{path} is no file: give a checkpoint of train.py, for example outputs/.../checkpoints/best.ckpt"
         )
+    if path.stat().st_size > MAX_BYTES:
+        raise CophyError(f"{path} is no checkpoint of train.py: it is larger than {MAX_BYTES >> 30} GiB")
     return path.read_bytes()
 
 

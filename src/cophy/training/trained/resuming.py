@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from cophy.errors import CophyError
-from cophy.training.trained.checkpoints import Origin, read_checkpoint
+from cophy.training.trained.checkpoints import Origin, read_bytes, read_checkpoint
 
 NO_SETTING = {"scenario.task.splits"}  # names of splits: a split more changes no training
 
@@ -21,7 +21,7 @@ def check_resumable(ckpt: Path, origin: Origin) -> None:
     """
     if not ckpt.is_file():
         raise CophyError(f"ckpt={ckpt} is no file: a run keeps last.ckpt in its checkpoints/")
-    checkpoint = read_checkpoint(ckpt.read_bytes(), ckpt)
+    checkpoint = read_checkpoint(read_bytes(ckpt), ckpt)
     if not checkpoint.has_optimizer:
         raise CophyError(f"ckpt={ckpt} holds weights alone, for tests and predictions: go on from the run's last.ckpt")
     trained = _weights_depend_on(checkpoint.origin)
