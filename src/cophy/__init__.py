@@ -22,20 +22,20 @@ atomic_files: files that are there whole or not at all.
 bootstrap: means over experiments, and their intervals.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cophy.app.loading import load as load
-    from cophy.app.loading import load_predictor as load_predictor
+    from cophy.app.predictors import load_predictor as load_predictor
 
 __version__ = "0.1.0"
 __all__ = ["load", "load_predictor"]
+_MODULES = {"load": "cophy.app.loading", "load_predictor": "cophy.app.predictors"}
 
 
 def __getattr__(name: str) -> Any:
     """The public functions, imported when asked for: they need every room, and every room imports this file."""
-    if name in __all__:
-        from cophy.app import loading
-
-        return getattr(loading, name)
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
     raise AttributeError(f"module 'cophy' has no attribute '{name}'")

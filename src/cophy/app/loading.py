@@ -1,8 +1,7 @@
-"""Data and trained predictors from Python, without a command line: `cophy.load`, `cophy.load_predictor`."""
+"""The data from Python, without a command line: `cophy.load`."""
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
@@ -11,15 +10,12 @@ from cophy.app.cli import OF_YOUR_OWN, explain
 from cophy.app.composition import settings
 from cophy.app.datasets import experiments_of
 from cophy.app.schemas.commands import TrainConfig
-from cophy.app.schemas.registration import SCENARIOS, register
+from cophy.app.schemas.registration import register
 from cophy.dataset import generation
 from cophy.dataset.experiment_dataset import ExperimentDataset
 from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError
 from cophy.scenario.rendering.frames import MODALITIES
-
-if TYPE_CHECKING:
-    from cophy.training.trained.trained_predictor import TrainedPredictor
 
 STATES = "states"
 
@@ -90,20 +86,6 @@ def load(
     else:
         frames.ensure(workers=workers)
     return ExperimentDataset(experiments, split=split, frames=frames, modalities=pictures)
-
-
-def load_predictor(checkpoint: str | Path) -> "TrainedPredictor":
-    """A trained predictor: called with a batch of experiments, it says what D would be.
-
-    Args:
-        checkpoint: Of train.py, for example outputs/…/checkpoints/best.ckpt. Reading it runs no code of it.
-
-    Raises:
-        CophyError: The file is something else, or its predictor is given the true confounders.
-    """
-    from cophy.training.trained.trained_predictor import TrainedPredictor  # Lightning takes seconds, data need none
-
-    return TrainedPredictor(Path(checkpoint), SCENARIOS)
 
 
 def _quoted(path: str) -> str:
