@@ -7,8 +7,7 @@ key_help: what `--help` says of the keys of a command.
 composition: a configuration as the command line composes it, typed or not.
 variants: what a run changes beyond its names, in the name of its directory.
 datasets: the datasets that a configuration names.
-loading: `cophy.load`, the data from Python.
-predictors: `cophy.load_predictor`, trained predictors from Python.
+python/: what `import cophy` offers.
 report_choices: what the names of runs stand for, which the report asks.
 assembly: takes the configuration of a run apart, and carries the run out.
 """
