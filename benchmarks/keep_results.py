@@ -1,28 +1,35 @@
 """Results that stay when outputs/ go: python benchmarks/keep_results.py [outputs [table.csv]]
 
-Adds every finished run to docs/results/results.csv, with the commit of this checkout. A run that is in the table already (the same
-names, data and epochs) is replaced. Run it before the code changes: no file of src/ or conf/ may differ from the commit.
+Adds every finished run to docs/results/results.csv, with the commit of this checkout, and with its share of the possible gain where
+both oracles are among the runs. A run that is in the table already (the same names, data and epochs) is replaced. Run it before
+the code changes: no file of src/ or conf/ may differ from the commit.
 """
 
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from measure import ROOT
 
 from cophy.atomic_files import write_atomically
 from cophy.report.runs.stored_run import read_configuration, read_line
+from cophy.report.tables.shares import share_of_gain, stored_errors
 from cophy.training.runs.identity import METRICS
 
 TABLE = ROOT / "docs" / "results" / "results.csv"
 NAMES = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]
 KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
+ENDS = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
+TESTED = ["scenario", "split", "datasets"]  # what a run and the oracles that it is compared with have in common
+SHARE = ["share", "share_low", "share_high"]
 MEASURES = ("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy")
 COLUMNS = [
     *KEY,
     *("num_test", "training_seconds", "commit"),
     *(f"{measure}{end}" for measure in MEASURES for end in ("", "_low", "_high")),
+    *SHARE,
 ]
 
 
@@ -32,6 +39,9 @@ def main(outputs: Path, table: Path) -> None:
     found = pd.DataFrame([line_of(path, commit) for path in sorted(outputs.glob(f"*/*/*/*/*/seed*/{METRICS}"))])
     if found.empty:
         sys.exit(f"{outputs}: no finished runs")
+    found[SHARE] = np.nan
+    for _, tested in found[found["positions"] == "ground_truth"].groupby(TESTED):
+        found.loc[tested.index, SHARE] = shares(tested)
     before = [pd.read_csv(table, keep_default_na=False, dtype=str)] if table.exists() else []
     merged = pd.concat([*before, found.reindex(columns=COLUMNS).map(as_text)], ignore_index=True)
     kept = merged.drop_duplicates(KEY, keep="last").sort_values(KEY)
@@ -51,7 +61,19 @@ def line_of(path: Path, commit: str) -> dict[str, object]:
     """A run's line of the table."""
     line, configuration = read_line(path), read_configuration(path.parent / ".hydra" / "config.yaml")
     epochs = configuration.trainer.max_epochs * configuration.split.get("epochs_factor", 1)
-    return line | {"datasets": " ".join(line["dataset_ids"]), "max_epochs": epochs, "commit": commit}
+    return line | {
+        "datasets": " ".join(line["dataset_ids"]),
+        "max_epochs": epochs,
+        "commit": commit,
+        "directory": path.parent,
+        "metric_dims": configuration.scenario.task.metric_dims,
+    }
+
+
+def shares(tested: pd.DataFrame) -> list[list[float]]:
+    """The share of each run with its interval, of the experiments that the oracles were asked about; NaN without both oracles."""
+    without, with_ab = (tested[tested["model"] == model] for model in ENDS)
+    return [list(share_of_gain(tested.loc[[run]], without, with_ab, stored_errors)) for run in tested.index]
 
 
 def as_text(value: object) -> str:

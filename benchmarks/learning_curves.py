@@ -1,7 +1,8 @@
-"""What more data bring: python benchmarks/learning_curves.py [table.csv [picture.png]]
+"""What more data bring: python benchmarks/learning_curves.py [table.csv [folder]]
 
-Draws the test MSE over the number of training experiments, for every row of docs/results/results.csv that was trained on several
-numbers (training.num_experiments=, size=), with its other settings as conf/ has them. Prints the numbers as a Markdown table.
+Draws a picture per scenario, learning-curves-<scenario>.png: MSE, share of the possible gain and twin difference explained over the
+number of training experiments. It is of every row of docs/results/results.csv that was trained on several numbers
+(training.num_experiments=, size=), with its other settings as conf/ has them. Prints the numbers as a Markdown table.
 """
 
 import sys
@@ -10,64 +11,75 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pandas as pd
 from keep_results import TABLE
+from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 from measure import ROOT
 
 PANEL = ["scenario", "split"]
 CURVE = [*PANEL, "model", "ablation"]
-PICTURE = ROOT / "docs" / "pictures" / "learning-curves.png"
-SIZES = ["small", "12k", "paper"]
+MEASURES = {  # with their titles, and what they are multiplied by
+    "mse": ("test MSE, m²", 1),
+    "share": ("share of the possible gain, %", 100),
+    "twin_difference_explained": ("twin difference explained, %", 100),
+}
+COLUMNS = [f"{measure}{end}" for measure in MEASURES for end in ("", "_low", "_high")]
+SIZES = ["small", "12k", "paper"]  # from few experiments to many
 PLAIN = r"(\+size-\w+)?(\+num_experiments-\d+)?"  # what may differ from conf/
 
 
-def main(table: Path, picture: Path) -> None:
+def main(table: Path, folder: Path) -> None:
     """Print and draw."""
-    runs = pd.read_csv(table)
-    found = mean_over_seeds(runs[runs["size"].isin(SIZES) & (runs["positions"] == "ground_truth")])
+    found = mean_over_seeds(pd.read_csv(table))
     curves = found[found.groupby(CURVE)["num_train"].transform("nunique") > 1]
-    print(curves.drop(columns=["low", "high"]).to_markdown(index=False, floatfmt=("", "", "", "", "", ".3f", ".2f")))
-    panels = list(curves.groupby(PANEL))
-    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3.2), squeeze=False, layout="constrained")
-    for axis, ((scenario, split), panel) in zip(axes[0], panels, strict=True):
-        for (model, ablation), line in panel.groupby(["model", "ablation"]):
-            label = model if ablation == "full" else f"{model}, {ablation}"
-            (drawn,) = axis.plot(line["num_train"], line["mse"], marker="o", label=label)
-            axis.fill_between(line["num_train"], line["low"], line["high"], color=drawn.get_color(), alpha=0.15)
-        axis.set(
-            xscale="log",
-            title=f"{scenario}, {split}",
-            xlabel="training experiments",
-            ylabel="test MSE, m²",
-            ylim=(0, None),
-        )
-        axis.xaxis.set_major_formatter(ScalarFormatter())
-        axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.set_xticks(sorted(panel["num_train"].unique()))
-        axis.legend(frameon=False)
-    figure.savefig(picture, dpi=120)
+    shown = curves[[*CURVE, "num_train", "size", "seeds", *MEASURES]]
+    print(shown.to_markdown(index=False, floatfmt=("",) * 7 + (".3f", ".2f", ".2f")))
+    for scenario, of_scenario in curves.groupby("scenario"):
+        draw(of_scenario).savefig(folder / f"learning-curves-{scenario}.png", dpi=120)
 
 
 def mean_over_seeds(runs: pd.DataFrame) -> pd.DataFrame:
-    """A line per curve and number of experiments: MSE with the mean of its intervals, twin difference explained, seeds.
+    """A line per curve and number of experiments: the means of its measures and of their intervals, and its seeds.
 
-    Runs that change more than the number of experiments are left out.
+    Runs that change more than the number of experiments are left out. Where datasets of two sizes have the same number to train on,
+    the larger one counts: its test split is that of the curve's other end.
     """
-    kept = runs[runs["variant"].fillna("").str.fullmatch(PLAIN)]
-    return (
-        kept.groupby([*CURVE, "num_train"])
-        .agg(
-            mse=("mse", "mean"),
-            explained=("twin_difference_explained", "mean"),
-            seeds=("seed", lambda seeds: ", ".join(map(str, sorted(seeds)))),
-            low=("mse_low", "mean"),
-            high=("mse_high", "mean"),
-        )
-        .reset_index()
+    plain = runs["variant"].fillna("").str.fullmatch(PLAIN) & (runs["positions"] == "ground_truth")
+    kept = runs[plain & runs["size"].isin(SIZES)]
+    means = kept.groupby([*CURVE, "num_train", "size"])[COLUMNS].mean()
+    means["seeds"] = kept.groupby([*CURVE, "num_train", "size"])["seed"].agg(
+        lambda seeds: ", ".join(map(str, sorted(seeds)))
     )
+    found = means.reset_index()
+    found["order"] = found["size"].map(SIZES.index)
+    return found.sort_values([*CURVE, "num_train", "order"]).drop_duplicates([*CURVE, "num_train"], keep="last")
+
+
+def draw(curves: pd.DataFrame) -> Figure:
+    """A row of panels per split, a panel per measure; bands are 95 % intervals."""
+    splits = list(curves.groupby("split"))
+    figure, axes = plt.subplots(
+        len(splits), len(MEASURES), figsize=(4 * len(MEASURES), 3.2 * len(splits)), squeeze=False, layout="constrained"
+    )
+    for row, (split, of_split) in zip(axes, splits, strict=True):
+        for axis, (measure, (title, scale)) in zip(row, MEASURES.items(), strict=True):
+            for (model, ablation), line in of_split.groupby(["model", "ablation"]):
+                label = model if ablation == "full" else f"{model}, {ablation}"
+                (drawn,) = axis.plot(line["num_train"], scale * line[measure], marker="o", label=label)
+                low, high = (scale * line[f"{measure}_{end}"] for end in ("low", "high"))
+                axis.fill_between(line["num_train"], low, high, color=drawn.get_color(), alpha=0.15)
+            axis.set(
+                xscale="log", title=f"{curves['scenario'].iloc[0]}, {split}: {title}", xlabel="training experiments"
+            )
+            axis.xaxis.set_major_formatter(ScalarFormatter())
+            axis.xaxis.set_minor_formatter(NullFormatter())
+            axis.set_xticks(sorted(of_split["num_train"].unique()))
+            axis.set_ylim(bottom=0 if measure == "mse" else None)
+        row[0].legend(frameon=False)
+    return figure
 
 
 if __name__ == "__main__":
     if len(sys.argv) > 3 or "--help" in sys.argv:
         sys.exit(str(__doc__))
     given = dict(enumerate(sys.argv))
-    main(Path(given.get(1, TABLE)), Path(given.get(2, PICTURE)))
+    main(Path(given.get(1, TABLE)), Path(given.get(2, ROOT / "docs" / "pictures")))
