@@ -48,6 +48,8 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
         raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there, study.py answers")
     runs, studies = read_runs(outputs, choices.keys_of), read_answers(outputs, choices)
     if runs.empty and not studies:
+        if runs.attrs["unused"]:
+            raise CophyError(f"outputs={outputs}: none of the runs there can be reported, the lines above say why")
         raise CophyError(
             f"outputs={outputs}: there are no runs to report; train.py writes them, see python src/train.py --help"
         )

@@ -32,7 +32,7 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
         keys_of: From a run's names to the keys of the configuration that they stand for.
 
     Returns:
-        (`attrs["skipped"]`: how many cannot be read.) One line each: names, directory, counts, epochs, metric_dims, every test metric and its interval (`_low`, `_high`). A failed
+        (`attrs`: how many are `unused`, and of these how many cannot be read, `skipped`.) One line each: names, directory, counts, epochs, metric_dims, every test metric and its interval (`_low`, `_high`). A failed
         run has its `error` instead of results; `error` is None for the others. One that was refused before it began is
         left out.
     """
@@ -68,7 +68,7 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
         said = f"Runs below {outputs} that do not lie where train.py puts them (hydra.run.dir=), and are not read: {elsewhere}."
         log.info(notice(said))
     table = pd.DataFrame(lines)
-    table.attrs["skipped"] = skipped
+    table.attrs |= {"skipped": skipped, "unused": skipped + len(refused) + sum(map(len, aside.values()))}
     return table
 
 
