@@ -24,6 +24,7 @@ MEASURES = {  # with their titles, and what they are multiplied by
 }
 COLUMNS = [f"{measure}{end}" for measure in MEASURES for end in ("", "_low", "_high")]
 SIZES = ["small", "12k", "paper"]  # from few experiments to many
+ENOUGH = 3  # points
 PLAIN = r"(\+size-\w+)?(\+num_experiments-\d+)?"  # what may differ from conf/
 
 
@@ -40,28 +41,35 @@ def main(table: Path, folder: Path) -> None:
 def mean_over_seeds(runs: pd.DataFrame) -> pd.DataFrame:
     """A line per curve and number of experiments: the means of its measures and of their intervals, and its seeds.
 
-    Runs that change more than the number of experiments are left out. Where datasets of two sizes have the same number to train on,
-    the larger one counts: its test split is that of the curve's other end.
+    Runs that change more than the number of experiments are left out.
     """
     plain = runs["variant"].fillna("").str.fullmatch(PLAIN) & (runs["positions"] == "ground_truth")
     kept = runs[plain & runs["size"].isin(SIZES)]
-    means = kept.groupby([*CURVE, "num_train", "size"])[COLUMNS].mean()
-    means["seeds"] = kept.groupby([*CURVE, "num_train", "size"])["seed"].agg(
-        lambda seeds: ", ".join(map(str, sorted(seeds)))
-    )
-    found = means.reset_index()
-    found["order"] = found["size"].map(SIZES.index)
-    return found.sort_values([*CURVE, "num_train", "order"]).drop_duplicates([*CURVE, "num_train"], keep="last")
+    points = kept.groupby([*CURVE, "num_train", "size"])
+    found = points[COLUMNS].mean().assign(seeds=points["seed"].agg(lambda seeds: ", ".join(map(str, sorted(seeds)))))
+    curves = [of_few_datasets(curve) for _, curve in found.reset_index().groupby(CURVE)]
+    return pd.concat(curves, ignore_index=True)
+
+
+def of_few_datasets(curve: pd.DataFrame) -> pd.DataFrame:
+    """The points of the largest dataset where it has enough for a curve; else those of all, the larger dataset's first.
+
+    Each dataset has its own test split, so a curve of one is smoother.
+    """
+    ordered = curve.assign(order=curve["size"].map(SIZES.index)).sort_values(["num_train", "order"])
+    largest = ordered[ordered["order"] == ordered["order"].max()]
+    return largest if len(largest) >= ENOUGH else ordered.drop_duplicates("num_train", keep="last")
 
 
 def draw(curves: pd.DataFrame) -> Figure:
     """A row of panels per split, a panel per measure; bands are 95 % intervals."""
     splits = list(curves.groupby("split"))
+    measures = {name: shown for name, shown in MEASURES.items() if curves[name].notna().any()}
     figure, axes = plt.subplots(
-        len(splits), len(MEASURES), figsize=(4 * len(MEASURES), 3.2 * len(splits)), squeeze=False, layout="constrained"
+        len(splits), len(measures), figsize=(4 * len(measures), 3.2 * len(splits)), squeeze=False, layout="constrained"
     )
     for row, (split, of_split) in zip(axes, splits, strict=True):
-        for axis, (measure, (title, scale)) in zip(row, MEASURES.items(), strict=True):
+        for axis, (measure, (title, scale)) in zip(row, measures.items(), strict=True):
             for (model, ablation), line in of_split.groupby(["model", "ablation"]):
                 label = model if ablation == "full" else f"{model}, {ablation}"
                 (drawn,) = axis.plot(line["num_train"], scale * line[measure], marker="o", label=label)

@@ -1,0 +1,83 @@
+"""Tables of docs/results from docs/results/results.csv: python benchmarks/result_tables.py [size [table.csv]]
+
+Prints, for every split, the rows whose settings are those of conf/, as Markdown: MSE in m² with its 95 % interval and, over several
+seeds, its standard deviation; the paper's number; share of the possible gain; what it makes of twins; seconds of training.
+"""
+
+import sys
+from pathlib import Path
+
+import pandas as pd
+from keep_results import TABLE
+
+from cophy.report.tables.paper_tables import published_mse
+
+ROWS = {  # model and ablation, as the tables of the paper name them
+    ("copy_c", "full"): "copy C",
+    ("copy_b", "full"): "copy B",
+    ("in", "full"): "IN",
+    ("npe", "full"): "NPE",
+    ("cophynet", "full"): "CoPhyNet",
+    ("alongside", "full"): "alongside (ours)",
+    ("alongside_noisy", "full"): "alongside, noise (ours)",
+    ("cophynet", "feedforward"): "CoPhyNet, feedforward",
+    ("in", "gt_confounders"): "IN sup.",
+    ("oracle_feedforward", "full"): "oracle without AB",
+    ("oracle_initial_velocity", "full"): "… initial velocity given",
+    ("oracle_confounders", "full"): "… confounders given",
+    ("oracle_counterfactual", "full"): "oracle with AB",
+}
+SPLIT = ["scenario", "split"]
+NAMES = [*SPLIT, "model", "ablation", "positions"]
+
+
+def main(size: str, table: Path) -> None:
+    """Print."""
+    runs = pd.read_csv(table, keep_default_na=False, na_values=[""])
+    variant = runs["variant"].fillna("").isin(["", f"+size-{size}"])
+    kept = runs[variant & (runs["size"] == size) & (runs["positions"] == "ground_truth")]
+    if kept.empty:
+        sys.exit(f"{table}: no runs of size={size}; there are {', '.join(sorted(set(runs['size'])))}")
+    for (scenario, split), tested in kept.groupby(SPLIT):
+        models = tested.groupby(["model", "ablation"])
+        lines = [line_of(title, models.get_group(name)) for name, title in ROWS.items() if name in models.groups]
+        counts = tested[~tested["model"].str.startswith("oracle")].iloc[0]
+        print(
+            f"\n### {scenario}, {split}\n\n{counts['num_train']} training and {counts['num_test']} test experiments.\n"
+        )
+        print(pd.DataFrame(lines).to_markdown(index=False, disable_numparse=True))
+
+
+def line_of(title: str, found: pd.DataFrame) -> dict[str, str]:
+    """A row of a table: means over seeds."""
+    paper = published_mse({name: found[name].iloc[0] for name in NAMES})
+    learns = found["training_seconds"].mean() > 0
+    return {
+        "": title,
+        "MSE": of(found, "mse", 1, 3),
+        "paper": "–" if paper is None else f"{paper:.3f}",
+        "share": of(found, "share", 100, 0),
+        "twin difference explained": of(found, "twin_difference_explained", 100, 0),
+        "right twin chosen": of(found, "right_twin_chosen", 100, 0),
+        "seeds": f"{len(found)}" if learns else "–",
+        "seconds": f"{found['training_seconds'].mean():.0f}" if learns else "–",
+    }
+
+
+def of(found: pd.DataFrame, measure: str, scale: int, digits: int) -> str:
+    """Mean, standard deviation where there are several seeds, and the mean of the intervals."""
+    value, low, high = (scale * found[f"{measure}{end}"].mean() for end in ("", "_low", "_high"))
+    if pd.isna(value):
+        return "–"
+    unit = " %" if scale == 100 else ""
+    spread = f" ± {scale * found[measure].std():.{digits}f}" if found[measure].nunique() > 1 else ""
+    exact = low == high
+    return f"{value:.{digits}f}{spread}{unit}" + (
+        "" if exact or pd.isna(low) else f" [{low:.{digits}f}, {high:.{digits}f}]"
+    )
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 3 or "--help" in sys.argv:
+        sys.exit(str(__doc__))
+    main(sys.argv[1] if len(sys.argv) > 1 else "small", Path(sys.argv[2]) if len(sys.argv) > 2 else TABLE)
