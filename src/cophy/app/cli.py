@@ -7,6 +7,7 @@ import re
 import sys
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import wraps
@@ -41,6 +42,9 @@ OF_SLURM = {
     "has not produced any output": "a job ended without a result; what it said is in .submitit/ among the runs; the same command goes on",
     "Could not load 'hydra/launcher/submitit_slurm'": "hydra/launcher=slurm needs a package: pip install -e '.[cluster]'",
 }
+
+# hydra/launcher=local: joblib replaces a worker whose memory has grown; no run is lost
+warnings.filterwarnings("ignore", "A worker stopped while some jobs were given to the executor")
 
 _sweeps: list[tuple[Path, float]] = []  # of this process: the root of the runs, and when the sweep began
 
