@@ -31,7 +31,7 @@ PLAIN = r"(\+size-\w+)?(\+num_experiments-\d+)?"  # what may differ from conf/
 def main(table: Path, folder: Path) -> None:
     """Print and draw."""
     found = mean_over_seeds(pd.read_csv(table))
-    curves = found[found.groupby(CURVE)["num_train"].transform("nunique") > 1]
+    curves = found[found.groupby(CURVE)["num_train"].transform("nunique") >= ENOUGH]
     shown = curves[[*CURVE, "num_train", "size", "seeds", *MEASURES]]
     print(shown.to_markdown(index=False, floatfmt=("",) * 7 + (".3f", ".2f", ".2f")))
     for scenario, of_scenario in curves.groupby("scenario"):

@@ -1,0 +1,31 @@
+"""The checkpoints that the repository holds: today's code loads them, and they know more than to copy."""
+
+import re
+from pathlib import Path
+
+import pytest
+from torch.utils.data import DataLoader
+
+import cophy
+from tests.conftest import ROOT
+
+FOLDER = ROOT / "checkpoints"
+KEPT = sorted(FOLDER.glob("*.ckpt"))
+
+
+def test_the_readme_lists_them() -> None:
+    listed = re.findall(r"^\| `(\w+\.ckpt)` \|", (FOLDER / "README.md").read_text(), flags=re.MULTILINE)
+    assert listed
+    assert sorted(listed) == [path.name for path in KEPT]
+
+
+@pytest.mark.parametrize("checkpoint", KEPT, ids=lambda path: path.stem)
+def test_a_checkpoint_errs_less_than_copy_c(checkpoint: Path, tiny_data: Path) -> None:
+    predictor = cophy.load_predictor(checkpoint)
+    experiments = cophy.load(predictor.scenario.name, size="tiny", split=None, data_dir=str(tiny_data))
+    (batch,) = DataLoader(experiments, batch_size=len(experiments))
+    frames = batch["states"][:, 1, :: predictor.scenario.clock.states_per_frame, :, :3]
+    c, d = frames[:, :1], frames[:, 1:]
+    present = batch["presence"][:, 1, None, :, None]
+    of_copy, of_predictor = ((guess - d).square().mul(present).sum() for guess in (c, predictor(batch)))
+    assert of_predictor < 0.8 * of_copy
