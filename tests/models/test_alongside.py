@@ -4,17 +4,11 @@ from dataclasses import replace
 
 import torch
 
-from cophy.models.alongside.alongside import no_longer_than
+from cophy.models.alongside.alongside import PARTS
 from cophy.models.alongside.own import HIGH, Own
 from cophy.models.appearance import Appearance
 from cophy.types import Inputs
 from tests.models.networks import build, random_batch
-
-
-def test_vectors_are_cut_to_the_limit_and_shorter_ones_kept() -> None:
-    vectors = torch.tensor([[3.0, 4.0, 0.0], [0.3, 0.4, 0.0], [0.0, 0.0, 0.0]])
-    cut = no_longer_than(1.0, vectors)
-    torch.testing.assert_close(cut, torch.tensor([[0.6, 0.8, 0.0], [0.3, 0.4, 0.0], [0.0, 0.0, 0.0]]))
 
 
 def test_objects_go_nowhere_in_leaps_once_it_is_trained() -> None:
@@ -22,6 +16,21 @@ def test_objects_go_nowhere_in_leaps_once_it_is_trained() -> None:
     far = replace(inputs, observed=100 * inputs.observed)
     assert longest_step(network.train()(far).position, inputs) > 10
     assert longest_step(network.eval()(far).position, inputs) <= 0.5 + 1e-4
+
+
+def test_a_motion_that_no_object_makes_is_left_as_it_is() -> None:
+    """The state v may be longer than any step: cutting it had cost a trained network half as much error again."""
+    network, inputs = build("alongside", "model.max_step=3.2"), random_batch(4, [4, 3, 2]).inputs
+    slow = replace(inputs, observed=inputs.observed[:, :1] + 0.01 * inputs.observed)
+    with torch.no_grad():
+        _, turn, mixture, next_mixture, *_ = network.to_step[-1].bias.split(PARTS)
+        mixture.fill_(50.0)  # every step is AB's, so that it is short
+        next_mixture.fill_(-50.0)
+        turn.fill_(5.0)
+    free, limited = network.train()(slow), network.eval()(slow)
+    assert longest_step(free.position, slow) < 3.2
+    torch.testing.assert_close(limited.stable_logit, free.stable_logit)
+    torch.testing.assert_close(limited.position, free.position)
 
 
 def test_heights_above_the_limit_count_as_the_limit() -> None:

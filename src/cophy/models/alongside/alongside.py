@@ -16,7 +16,8 @@ changes in the motion, at the moment τ of the step at which the two would touch
 that objects push only where they touch is learned.
 
 The launch v_0 is AB's first motion, corrected. Once trained, it lets no object move farther in a step than `max_step`: with
-more objects than it has seen, a rollout can run away.
+more objects than it has seen, a rollout can run away. What would move farther is slowed down, Δ_t and v_{t+1} by one factor.
+A long v_{t+1} alone is left as it is: its corrections can undo it, so that it also serves as memory.
 """
 
 import torch
@@ -127,13 +128,10 @@ class Alongside(nn.Module):
             displacement = mixture * motion[:, step] + (1 - mixture) * displacement
             velocity = next_mixture * after[:, step] + (1 - next_mixture) * velocity
             if not self.training:
-                velocity, displacement = (no_longer_than(self.max_step, each) for each in (velocity, displacement))
+                slowed = (self.max_step / length(displacement)).clamp(max=1)
+                velocity, displacement = slowed * velocity, slowed * displacement
             position = position + gate(logit, self.temperature) * displacement
             positions.append(position)
             logits.append(logit)
         return Prediction(torch.stack(positions, dim=1), torch.stack(logits, dim=1).squeeze(-1))
 
-
-def no_longer_than(limit: float, vectors: Float[Tensor, "*any 3"]) -> Float[Tensor, "*any 3"]:
-    """The same vectors, but the longer ones are cut to the limit."""
-    return vectors * (limit / length(vectors)).clamp(max=1)
