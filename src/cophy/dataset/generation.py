@@ -106,7 +106,7 @@ def _missing(shards: ShardSet, wanted: Iterable[int]) -> list[int]:
 
 
 def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
-    total = sum(len(shards.spec.experiments_of_shard(shard)) for shard in missing)
+    total = sum(map(shards.num_made, missing))
     context = multiprocessing.get_context("spawn")
     if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
         multiprocessing.set_start_method("spawn", force=True)  # a job of joblib: its "loky" is unknown to its children
@@ -139,7 +139,7 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
             for worker in multiprocessing.active_children():
                 worker.terminate()
             raise
-    each = ", ".join(f"{value / total:.3g} {what}" for what, value in took.items())
+    each = ", ".join(f"{value / max(total, 1):.3g} {what}" for what, value in took.items())
     log.info("%d experiments in %.0f s; per experiment %s", total, time.monotonic() - start, each)
 
 

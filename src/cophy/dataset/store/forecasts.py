@@ -62,9 +62,11 @@ class OracleForecasts(ShardSet):
                         for name, value in forecast_of(hypotheses, self.spec.scenario).items():
                             stored[f"{oracle}_{name}"][index + twin] = value
                 advance(2)
-        advance(len(self.spec.experiments_of_shard(shard)) - len(rows))
         path.write_bytes(encode(stored, fields, self.attributes(shard)))
         return {"simulations": simulator.num_simulations}
+
+    def num_made(self, shard: int) -> int:
+        return len(self._rows(shard))
 
     def fields(self, shard: int) -> Fields:
         scenario, count = self.spec.scenario, len(self._rows(shard))

@@ -73,6 +73,10 @@ class ShardSet(ABC):
             What it took, per unit, to be logged.
         """
 
+    def num_made(self, shard: int) -> int:
+        """How many experiments of a shard `write` advances by."""
+        return len(self.spec.experiments_of_shard(shard))
+
     @abstractmethod
     def description(self) -> dict[str, Any]:
         """What the manifest says besides versions and checksums."""
