@@ -7,6 +7,7 @@ says what they mean. `profile` prints where the time goes, `hours` what `size=pa
 
 import json
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import compare_checkouts
@@ -66,4 +67,6 @@ def report(topic: str, rows: list[Measured]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("topics", nargs="*", metavar="topic", help=f"{', '.join(TOPICS | OTHERS)}; {AGAINST}CHECKOUT")
+    main(parser.parse_args().topics)

@@ -4,6 +4,7 @@ CPU time of one core. Lossless is proven by drawing again and comparing every pi
 """
 
 import tempfile
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -81,4 +82,5 @@ def draw_again(images: Images) -> Iterator[tuple[int, int, Frames]]:
 
 
 if __name__ == "__main__":
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     main()

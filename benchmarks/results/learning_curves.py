@@ -1,20 +1,20 @@
-"""What more data bring: python benchmarks/learning_curves.py [table.csv [folder]]
+"""What more data bring: python benchmarks/results/learning_curves.py [table.csv [folder]]
 
 Draws a picture per scenario, learning-curves-<scenario>.png: MSE, share of the possible gain and twin difference explained over the
 number of training experiments. It is of every row of docs/results/results.csv that was trained on several numbers
 (training.num_experiments=, size=), with its other settings as conf/ has them. Prints the numbers as a Markdown table.
 """
 
-import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pandas as pd
-from keep_results import TABLE
+from keep_results import ROOT, TABLE
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, ScalarFormatter
-from measure import ROOT
 
+PICTURES = ROOT / "docs" / "pictures"
 PANEL = ["scenario", "split"]
 CURVE = [*PANEL, "model", "ablation"]
 MEASURES = {  # with their titles, and what they are multiplied by
@@ -87,7 +87,7 @@ def draw(curves: pd.DataFrame) -> Figure:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 3 or "--help" in sys.argv:
-        sys.exit(str(__doc__))
-    given = dict(enumerate(sys.argv))
-    main(Path(given.get(1, TABLE)), Path(given.get(2, ROOT / "docs" / "pictures")))
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("table", nargs="?", type=Path, default=TABLE, help="that keep_results.py wrote")
+    parser.add_argument("folder", nargs="?", type=Path, default=PICTURES, help="where the pictures go")
+    main(**vars(parser.parse_args()))

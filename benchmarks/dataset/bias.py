@@ -1,9 +1,9 @@
-"""What the classifiers of the audit find where there is something to find: python benchmarks/bias.py [data_dir]. Towers of size=small.
+"""What the classifiers of the audit find where there is something to find: python benchmarks/dataset/bias.py [data_dir]. Towers of size=small.
 
 The geometries C are those of the dataset; the outcomes are planted, by statics, so that the best possible answer is known.
 """
 
-import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -74,4 +74,6 @@ def planted(arrays: dict[str, np.ndarray], scenario: Scenario) -> Iterator[Plant
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "data"))
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("data_dir", nargs="?", type=Path, default=Path("data"), help="where the dataset lies")
+    main(**vars(parser.parse_args()))

@@ -1,10 +1,10 @@
-"""What a generated dataset asks of a model, without any: python benchmarks/data_report.py scenario=balls size=small
+"""What a generated dataset asks of a model, without any: python benchmarks/dataset/data_report.py scenario=balls size=small
 
 Takes what generate.py takes, and prints a Markdown table with a column per dataset. Copies are judged on all experiments.
 """
 
-import sys
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 
 import numpy as np
@@ -100,4 +100,6 @@ def seconds(spec: DatasetSpec, simulator: Simulator) -> float:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("overrides", nargs="*", help="as of src/generate.py: scenario=balls size=small")
+    main(*parser.parse_args().overrides)

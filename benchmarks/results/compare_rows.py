@@ -1,4 +1,4 @@
-"""Is one model better than another? python benchmarks/compare_rows.py alongside cophynet [outputs]
+"""Is one model better than another? python benchmarks/results/compare_rows.py alongside cophynet [outputs]
 
 What a run changes beyond its model is named as its directory has it: cophynet+max_epochs-55. Both were tested on the same
 experiments, so their errors are compared experiment by experiment. Prints a Markdown table with a line per tested split: the seeds
@@ -6,6 +6,7 @@ that both have, both MSE (mean over seeds), and their difference with its 95 % i
 """
 
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,8 @@ def compared(ours: pd.DataFrame, other: pd.DataFrame) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) not in (3, 4):
-        sys.exit(str(__doc__))
-    main(sys.argv[1], sys.argv[2], Path(sys.argv[3] if len(sys.argv) == 4 else "outputs"))
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("ours", help="a model, and what a run changes beyond it")
+    parser.add_argument("other", help="likewise")
+    parser.add_argument("outputs", nargs="?", type=Path, default=Path("outputs"), help="where runs are kept")
+    main(**vars(parser.parse_args()))

@@ -1,6 +1,6 @@
 """What U of a trained CoPhyNet holds about masses and frictions of towers of three, asked in other ways than Table 5 asks:
 
-    python benchmarks/estimate_contents.py outputs/blocktower/3to3/cophynet/full/ground_truth/seed0 [data_dir]
+    python benchmarks/results/estimate_contents.py outputs/blocktower/3to3/cophynet/full/ground_truth/seed0 [data_dir]
 
 Classifiers are fitted on the training split and scored on the test split, one per level of the tower: logistic regression or
 boosted trees on U of the block itself, and boosted trees on U of all three blocks, all that CoPhyNet takes along to C, and their
@@ -8,7 +8,7 @@ offsets in A. The second table blurs AB by independent Gaussian noise and gives 
 lie in data_dir; half a minute on one core.
 """
 
-import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -143,4 +143,7 @@ def _classifier(kind: str) -> ClassifierMixin:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2] if len(sys.argv) > 2 else "data"))
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path, help="folder of a trained CoPhyNet")
+    parser.add_argument("data_dir", nargs="?", type=Path, default=Path("data"), help="where the dataset lies")
+    main(**vars(parser.parse_args()))

@@ -1,4 +1,4 @@
-"""What boosted trees read about the confounders off AB: python benchmarks/confounders_in_ab.py scenario=blocktower size=small
+"""What boosted trees read about the confounders off AB: python benchmarks/dataset/confounders_in_ab.py scenario=blocktower size=small
 
 Takes what generate.py takes; the datasets must be there. A bound from below on what the probe of CoPhyNet's U (paper Table 5)
 could find. All frames of AB are seen with independent Gaussian noise. Objects are asked for by one classifier, cross-validated
@@ -6,7 +6,7 @@ over twin pairs. Prints a Markdown table: the share that is read rightly, with 9
 answer. A alone tells something too: the search does not find every geometry under every configuration.
 """
 
-import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 
 import numpy as np
@@ -178,4 +178,6 @@ def _most_frequent(answer: np.ndarray) -> float:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("overrides", nargs="*", help="as of src/generate.py: scenario=balls size=small")
+    main(*parser.parse_args().overrides)

@@ -1,10 +1,10 @@
-"""How much of the error of the oracle without AB is its number of draws: python benchmarks/oracle_draws.py SCENARIO OBJECTS [data_dir]
+"""How much of the error of the oracle without AB is its number of draws: python benchmarks/dataset/oracle_draws.py SCENARIO OBJECTS [data_dir]
 
 Draws anew what `oracle_feedforward` draws for the test split at size=small. Of two independent means m and n of as many draws,
 (m - D)(n - D) is in expectation the squared error of the exact mean, whatever the variance that is stored beside m.
 """
 
-import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import numpy as np
@@ -95,4 +95,8 @@ def counted(values: np.ndarray, arrays: dict[str, np.ndarray], row: int, scenari
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), Path(sys.argv[3] if len(sys.argv) > 3 else "data"))
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("name", metavar="scenario")
+    parser.add_argument("num_objects", type=int, metavar="objects", help="in every experiment")
+    parser.add_argument("data_dir", nargs="?", type=Path, default=Path("data"), help="where the dataset lies")
+    main(**vars(parser.parse_args()))

@@ -1,10 +1,11 @@
-"""Tables of docs/results from docs/results/results.csv: python benchmarks/result_tables.py [size [table.csv]]
+"""Tables of docs/results from docs/results/results.csv: python benchmarks/results/result_tables.py [size [table.csv]]
 
 Prints, for every split, the rows whose settings are those of conf/, as Markdown: MSE in m² with its 95 % interval and, over several
 seeds, its standard deviation; the paper's number; share of the possible gain; what it makes of twins; seconds of training.
 """
 
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import pandas as pd
@@ -78,6 +79,7 @@ def of(found: pd.DataFrame, measure: str, scale: int, digits: int) -> str:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 3 or "--help" in sys.argv:
-        sys.exit(str(__doc__))
-    main(sys.argv[1] if len(sys.argv) > 1 else "small", Path(sys.argv[2]) if len(sys.argv) > 2 else TABLE)
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("size", nargs="?", default="small", help="of the data")
+    parser.add_argument("table", nargs="?", type=Path, default=TABLE, help="that keep_results.py wrote")
+    main(**vars(parser.parse_args()))

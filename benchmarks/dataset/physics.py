@@ -1,9 +1,10 @@
-"""Write docs/benchmark/physics.md: closed forms, convergence and cost of the solver settings. python benchmarks/physics.py
+"""Write docs/benchmark/physics.md: closed forms, convergence and cost of the solver settings. python benchmarks/dataset/physics.py
 
 Takes about ten minutes on one core. Every number in the document comes from the run that wrote it.
 """
 
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from cophy.scenario.physics.scene import Vector, trajectory_distance
 from cophy.scenario.physics.statics import Combinations
 from cophy.scenario.physics.surroundings import floor
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CLOCK = Clock(num_frames=30, frame_rate_hz=5, state_rate_hz=20)
 SECONDS = (CLOCK.num_states - 1) / CLOCK.state_rate_hz
 NUM_TOWERS = 100
@@ -47,7 +48,7 @@ def main() -> None:
         sections.append(energies(simulator))
     head = (
         "# Physics\n\nDoes the simulation agree with closed forms, and what do more solver steps change?\n"
-        "This page is written by `python benchmarks/physics.py`. CPU times are of one core of the machine it ran on.\n"
+        "This page is written by `python benchmarks/dataset/physics.py`. CPU times are of one core of the machine it ran on.\n"
         "Compare them with each other.\n"
     )
     (ROOT / "docs" / "benchmark" / "physics.md").write_text("\n".join([head, *sections]))
@@ -248,4 +249,5 @@ def energies(simulator: Simulator) -> str:
 
 
 if __name__ == "__main__":
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     main()

@@ -1,4 +1,4 @@
-"""Results that stay when outputs/ go: python benchmarks/keep_results.py [outputs [table.csv]]
+"""Results that stay when outputs/ go: python benchmarks/results/keep_results.py [outputs [table.csv]]
 
 Adds every finished run to docs/results/results.csv, with the commit of this checkout, and with its share of the possible gain where
 both oracles are among the runs. A run that is in the table already (the same names, data and epochs) is replaced. Run it before
@@ -7,17 +7,18 @@ the code changes: no file of src/ or conf/ may differ from the commit.
 
 import subprocess
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from measure import ROOT
 
 from cophy.atomic_files import write_atomically
 from cophy.report.runs.stored_run import read_configuration, read_line
 from cophy.report.tables.shares import share_of_gain, stored_errors
 from cophy.training.runs.identity import METRICS
 
+ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "results" / "results.csv"
 NAMES = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]
 KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
@@ -84,6 +85,7 @@ def as_text(value: object) -> str:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 3 or "--help" in sys.argv:
-        sys.exit(str(__doc__))
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "outputs"), Path(sys.argv[2]) if len(sys.argv) > 2 else TABLE)
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("outputs", nargs="?", type=Path, default=Path("outputs"), help="where runs are kept")
+    parser.add_argument("table", nargs="?", type=Path, default=TABLE, help="the table that they are added to")
+    main(**vars(parser.parse_args()))
