@@ -12,7 +12,9 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from keep_results import ROOT, TABLE
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, ScalarFormatter
+from result_tables import ROWS
 
 PICTURES = ROOT / "docs" / "pictures"
 PANEL = ["scenario", "split"]
@@ -68,13 +70,16 @@ def draw(curves: pd.DataFrame) -> Figure:
     figure, axes = plt.subplots(
         len(splits), len(measures), figsize=(4 * len(measures), 3.2 * len(splits)), squeeze=False, layout="constrained"
     )
+    named: dict[str, Line2D] = {}
     for row, (split, of_split) in zip(axes, splits, strict=True):
         for axis, (measure, (title, scale)) in zip(row, measures.items(), strict=True):
             for (model, ablation), line in of_split.groupby(["model", "ablation"]):
-                label = model if ablation == "full" else f"{model}, {ablation}"
-                (drawn,) = axis.plot(line["num_train"], scale * line[measure], marker="o", label=label)
+                name = (str(model), str(ablation))
+                color = f"C{list(ROWS).index(name)}"
+                (drawn,) = axis.plot(line["num_train"], scale * line[measure], marker="o", color=color)
+                named[ROWS[name]] = drawn
                 low, high = (scale * line[f"{measure}_{end}"] for end in ("low", "high"))
-                axis.fill_between(line["num_train"], low, high, color=drawn.get_color(), alpha=0.15)
+                axis.fill_between(line["num_train"], low, high, color=color, alpha=0.15)
             axis.set(
                 xscale="log", title=f"{curves['scenario'].iloc[0]}, {split}: {title}", xlabel="training experiments"
             )
@@ -82,7 +87,7 @@ def draw(curves: pd.DataFrame) -> Figure:
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.set_xticks(sorted(of_split["num_train"].unique()))
             axis.set_ylim(bottom=0 if measure == "mse" else None)
-        row[0].legend(frameon=False)
+    figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=len(named), frameon=False)
     return figure
 
 
