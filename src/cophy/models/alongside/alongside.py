@@ -134,4 +134,3 @@ class Alongside(nn.Module):
             positions.append(position)
             logits.append(logit)
         return Prediction(torch.stack(positions, dim=1), torch.stack(logits, dim=1).squeeze(-1))
-
