@@ -21,8 +21,7 @@ A long v_{t+1} alone is left as it is: its corrections can undo it, so that it a
 """
 
 import torch
-from jaxtyping import Float
-from torch import Tensor, nn
+from torch import nn
 
 from cophy.models.alongside.contacts import CONTACT_DIM, Contacts, length
 from cophy.models.alongside.history import History, PairMemory
