@@ -28,7 +28,7 @@ SHARE = ["share", "share_low", "share_high"]
 MEASURES = ("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy")
 COLUMNS = [
     *KEY,
-    *("num_test", "training_seconds", "commit"),
+    *("num_test", "training_seconds", "commit", "predictor"),
     *(f"{measure}{end}" for measure in MEASURES for end in ("", "_low", "_high")),
     *SHARE,
 ]

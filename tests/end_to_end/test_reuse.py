@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from cophy.atomic_files import sha256
 from tests.commands import train
 
 RUN = "seed0+size-tiny+max_epochs-1"
@@ -32,6 +33,41 @@ def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path
     assert "trained already" not in alone
     metrics = json.loads((tmp_path / "alone" / "metrics.json").read_text())["metrics"]
     assert metrics == result(tmp_path, "4to3")["metrics"]  # reuse changes no number
+
+
+def test_a_kept_checkpoint_is_tested_instead_of_training(tiny_data: Path, tmp_path: Path) -> None:
+    train(*HALVES, "split=4to4", f"source.outputs={tmp_path}", data=tiny_data)
+    kept = tmp_path / "kept.ckpt"
+    kept.write_bytes((tmp_path / f"balls/4to4/cophynet/full/ground_truth/{RUN}/checkpoints/best.ckpt").read_bytes())
+    train(*HALVES, "split=4to3", f"source.outputs={tmp_path}", data=tiny_data)
+    trained = result(tmp_path, "4to3")
+    elsewhere = (*HALVES, "split=4to3", f"predictor={kept}", f"source.outputs={tmp_path / 'elsewhere'}")
+    train(*elsewhere, data=tiny_data)
+    tested = result(tmp_path / "elsewhere", "4to3")
+    alike = ("metrics", "intervals", "validation", "max_epochs", "dataset_ids", "variant")
+    assert [tested[key] for key in alike] == [trained[key] for key in alike]
+    assert (trained["predictor"], tested["predictor"]) == (None, sha256(kept)[:8])
+    assert tested["training_seconds"] == 0
+    assert not list((tmp_path / "elsewhere").rglob("*.ckpt"))
+    for key, own in {
+        "seed=1": "seed=0",
+        "trainer.max_epochs=2": "trainer.max_epochs=1",
+        "optimizer=soap": "_target_",
+    }.items():
+        printed = train(*elsewhere, key, data=tiny_data, code=1)
+        assert f"{kept} is of another training (" in printed
+        assert own in printed
+
+
+def test_a_checkpoint_that_does_not_say_its_seed_is_not_tested(tiny_data: Path, tmp_path: Path) -> None:
+    train(*HALVES, "split=4to4", "model=in", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    best = tmp_path / "checkpoints" / "best.ckpt"
+    saved = torch.load(best, weights_only=True)
+    del saved["origin"]["seed"], saved["origin"]["trainer"]
+    torch.save(saved, best)
+    given = (f"predictor={best}", f"hydra.run.dir={tmp_path}", "model=in")
+    assert "does not say with which seed" in train(*HALVES, *given, data=tiny_data, code=1)
+    assert json.loads((tmp_path / "metrics.json").read_text())["predictor"] is None  # what was there stays
 
 
 def test_a_training_on_half_of_the_data_takes_twice_the_epochs(tiny_data: Path, tmp_path: Path) -> None:

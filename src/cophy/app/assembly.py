@@ -25,11 +25,12 @@ from cophy.training.runs.devices import is_first
 from cophy.training.runs.execution import Plan, carry_out
 from cophy.training.runs.identity import Run
 from cophy.training.runs.oracle import carry_out_oracle
+from cophy.training.runs.reuse import WITHOUT_EFFECT
 from cophy.training.runs.stages import Stage, derendering_stage, prediction_stage
 from cophy.training.runs.trainer import check_arguments, with_epochs
 from cophy.training.trained.checkpoints import Origin
 from cophy.training.trained.network import build_network
-from cophy.training.trained.resuming import check_resumable
+from cophy.training.trained.resuming import check_resumable, check_trained
 from cophy.training.trained.trained_derenderer import TrainedDerenderer, find_derenderer
 
 
@@ -54,34 +55,61 @@ def run_configured(settings: TrainConfig, plain: dict[str, Any], claim: Claim) -
         _carry_out_oracle(settings, settings.model, claim, started)
         return math.nan
     check_arguments(plain["trainer"])
-    resume = None if settings.ckpt is None else Path(settings.ckpt)
-    stage, origin = _stage(settings, plain, run, resume)
-    trainer = with_epochs(plain["trainer"], stage.epochs_factor)
-    plan = Plan(trainer, settings.logger, settings.seed, settings.threads, settings.reuse, resume, started)
+    stage, origin = _stage(settings, plain, run)
+    plan = Plan(
+        trainer=with_epochs(plain["trainer"], stage.epochs_factor),
+        loggers=settings.logger,
+        seed=settings.seed,
+        threads=settings.threads,
+        reuse=settings.reuse,
+        resume=_path(settings.ckpt),
+        predictor=_path(settings.predictor),
+        started=started,
+    )
     validation, wanted = carry_out(claim, stage, plan, origin), settings.optimized_metric
     if validation and wanted not in validation:
         raise CophyError(f"optimized_metric={wanted} is not among {', '.join(sorted(validation))}")
     return validation.get(wanted, math.nan)
 
 
-def _stage(settings: TrainConfig, plain: dict[str, Any], run: Run, resume: Path | None) -> tuple[Stage, Origin]:
+def _path(name: str | None) -> Path | None:
+    return None if name is None else Path(name)
+
+
+def _stage(settings: TrainConfig, plain: dict[str, Any], run: Run) -> tuple[Stage, Origin]:
     """The stage that the network belongs to, its data made and loaded, and what goes into its checkpoints."""
     network, every = build_network(plain["model"]), settings.figures_every_n_epochs
     if isinstance(network, Derenderer):
+        if settings.predictor is not None:
+            raise CophyError(f"predictor={settings.predictor}: {run.model} predicts nothing")
         frames = _frames(settings, network.resolution)
-        origin = _prepare(frames, plain, resume)
+        origin = _prepare(frames, settings, plain)
         return derendering_stage(network, frames, settings.training, figures_every_n_epochs=every), origin
     experiments = _experiments(settings, run, DeclaredInputs.of(plain["model"]))
-    origin = _prepare(experiments, plain, resume)
+    origin = _prepare(experiments, settings, plain)
     return prediction_stage(network, experiments, settings.training, run, figures_every_n_epochs=every), origin
 
 
-def _prepare(data: CounterfactualDataModule | FrameDataModule, plain: dict[str, Any], resume: Path | None) -> Origin:
+def _prepare(data: CounterfactualDataModule | FrameDataModule, settings: TrainConfig, plain: dict[str, Any]) -> Origin:
     """Make and load the data; a checkpoint that does not fit is refused before."""
-    parts = ("model", "training", "scenario", "split", "size", "data_seed", "positions", "num_objects", "render")
-    origin = Origin(**{part: plain[part] for part in parts}, trained_on=data.trained_on)
-    if resume is not None:
-        check_resumable(resume, origin)
+    parts = (
+        "model",
+        "training",
+        "scenario",
+        "split",
+        "size",
+        "data_seed",
+        "positions",
+        "num_objects",
+        "render",
+        "seed",
+    )
+    trainer = {key: value for key, value in plain["trainer"].items() if key not in WITHOUT_EFFECT}
+    origin = Origin(**{part: plain[part] for part in parts}, trainer=trainer, trained_on=data.trained_on)
+    if settings.ckpt is not None:
+        check_resumable(Path(settings.ckpt), origin)
+    if settings.predictor is not None:
+        check_trained(Path(settings.predictor), origin)
     data.prepare_data()
     data.setup()
     return origin
@@ -144,8 +172,9 @@ def _derenderer(settings: TrainConfig, run: Run) -> TrainedDerenderer:
 
 
 def _carry_out_oracle(settings: TrainConfig, oracle: OracleConfig, claim: Claim, started: float) -> None:
-    if settings.ckpt is not None:
-        raise CophyError(f"ckpt={settings.ckpt}: {claim.run.model} has nothing to train or to restore")
+    for key, given in (("ckpt", settings.ckpt), ("predictor", settings.predictor)):
+        if given is not None:
+            raise CophyError(f"{key}={given}: {claim.run.model} has nothing to train or to restore")
     if settings.trainer.fast_dev_run:
         raise CophyError("trainer.fast_dev_run: an oracle takes no training step to try")
     if settings.positions != "ground_truth":

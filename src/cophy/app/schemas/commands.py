@@ -172,6 +172,7 @@ class TrainConfig(RenderDataConfig):
     optimized_metric: str = MISSING
     reuse: bool = MISSING
     ckpt: str | None = None
+    predictor: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -180,6 +181,8 @@ class TrainConfig(RenderDataConfig):
         _at_most(MAX_THREADS, threads=self.threads)
         _at_least(1, threads=self.threads, figures_every_n_epochs=self.figures_every_n_epochs)
         _at_least(10, num_images=self.num_images)
+        if self.ckpt is not None and self.predictor is not None:
+            raise ValueError("ckpt= goes on with a training, predictor= spares one: give one of them")
         if self.ckpt is None:
             self.trainer.check_validates()
         if not self.optimized_metric.startswith("val/"):

@@ -46,4 +46,6 @@ def caption(table: PaperTable, used: pd.DataFrame) -> str:
         notes.append(ORACLES)
     if "derenderer" in used and len(names := sorted(used["derenderer"].dropna().unique())):
         notes.append(f"Positions estimated by de-renderer {' and '.join(names)} (hash of its checkpoint).")
+    if "predictor" in used and len(names := sorted(used["predictor"].dropna().unique())):
+        notes.append(f"Not trained anew: {', '.join(names)} (hashes of the checkpoints that were tested).")
     return " ".join([*notes, table.note]).strip()

@@ -12,6 +12,7 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.trainer.states import TrainerFn
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
+from cophy.atomic_files import sha256
 from cophy.errors import CophyError
 from cophy.training.callbacks.best_validation import BestValidation
 from cophy.training.callbacks.stopwatch import Stopwatch
@@ -40,6 +41,7 @@ class Plan:
         threads: Of torch.
         reuse: Whether a finished training that was the same is adopted.
         resume: Checkpoint to go on from, or None.
+        predictor: Checkpoint of this training, which is tested instead of training; or None.
         started: `time.monotonic()` when the run began.
     """
 
@@ -49,6 +51,7 @@ class Plan:
     threads: int
     reuse: bool
     resume: Path | None
+    predictor: Path | None
     started: float
 
     @property
@@ -83,11 +86,14 @@ def carry_out(claim: Claim, stage: Stage, plan: Plan, origin: Origin) -> dict[st
         trainer = make_trainer(run, origin, [stage.figures, *watched], loggers, plan.trainer)
         devices.meet(trainer, stage.module)
         best, trained = None, Trained(0.0, {}, 0)
-        if plan.resume is not None and not stage.learns:
-            raise CophyError(f"ckpt={plan.resume}: {run.model} has nothing to train or to restore")
+        for key, given in (("ckpt", plan.resume), ("predictor", plan.predictor)):
+            if given is not None and not stage.learns:
+                raise CophyError(f"{key}={given}: {run.model} has nothing to train or to restore")
         if not plan.is_trial:  # a trial leaves all as it is
             claim.begin()
-        if stage.learns:
+        if plan.predictor is not None:
+            best = plan.predictor
+        elif stage.learns:
             trained = _train(trainer, watched, run, stage, plan, origin)
             best = None if plan.is_trial else run.checkpoints / "best.ckpt"
         else:
@@ -97,7 +103,9 @@ def carry_out(claim: Claim, stage: Stage, plan: Plan, origin: Origin) -> dict[st
         ):  # nothing was trained here: pictures and validation metrics come from this
             trainer.loggers = [each for each in trainer.loggers if not (isinstance(each, Curves) and each.earlier)]
             _log_names(trainer, run, plan, origin)
-            trainer.validate(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
+            found = trainer.validate(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
+            if plan.predictor is not None:
+                trained = trained._replace(validation={name: value for part in found for name, value in part.items()})
         trainer.test(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
         if plan.is_trial:
             return {}
@@ -106,6 +114,7 @@ def carry_out(claim: Claim, stage: Stage, plan: Plan, origin: Origin) -> dict[st
         about = {
             "dataset_ids": stage.data.dataset_ids,
             "derenderer": stage.derenderer,
+            "predictor": None if plan.predictor is None else sha256(plan.predictor)[:8],
             "num_train": len(stage.data.train),
             "num_test": len(stage.data.test),
             "max_epochs": plan.trainer["max_epochs"],

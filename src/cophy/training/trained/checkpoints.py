@@ -4,7 +4,7 @@ import io
 import pickle
 import zipfile
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,8 @@ class Origin:
         num_objects: Of the images of a de-renderer; None for those that the split names.
         render: Of these images.
         trained_on: What the training batches were a function of, as the datamodule says.
+        seed: Of the training; None in checkpoints of earlier versions.
+        trainer: Arguments of `lightning.Trainer` that weights depend on; empty in checkpoints of earlier versions.
     """
 
     model: dict[str, Any]
@@ -48,9 +50,12 @@ class Origin:
     num_objects: list[int] | None
     render: dict[str, Any]
     trained_on: list[Any]
+    seed: int | None = None
+    trainer: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for part in (self.model, self.training, self.scenario, self.split, self.size, self.render):
+        parts = (self.model, self.training, self.scenario, self.split, self.size, self.render, self.trainer)
+        for part in parts:
             if not isinstance(part, dict):
                 raise TypeError(f"{part} is no dictionary")
         self.model["_target_"], self.scenario["name"], self.split["name"]

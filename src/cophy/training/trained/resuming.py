@@ -1,11 +1,12 @@
-"""Whether a training may go on from a checkpoint: only with the settings that its weights came from."""
+"""Whether a training may go on from a checkpoint, or be spared by one: only with the settings that its weights came from."""
 
 from pathlib import Path
 from typing import Any
 
 from cophy.errors import CophyError
-from cophy.training.trained.checkpoints import Origin, read_bytes, read_checkpoint
+from cophy.training.trained.checkpoints import Checkpoint, Origin, read_bytes, read_checkpoint
 
+NAMED = 3  # settings in a message
 NO_SETTING = {"scenario.task.splits"}  # names of splits: a split more changes no training
 
 
@@ -19,16 +20,30 @@ def check_resumable(ckpt: Path, origin: Origin) -> None:
     Raises:
         CophyError: It is no checkpoint, or of another training; the message names the keys that differ.
     """
-    if not ckpt.is_file():
-        raise CophyError(f"ckpt={ckpt} is no file: a run keeps last.ckpt in its checkpoints/")
-    checkpoint = read_checkpoint(read_bytes(ckpt), ckpt)
+    checkpoint = _read(ckpt, "ckpt", "last.ckpt")
     if not checkpoint.has_optimizer:
         raise CophyError(f"ckpt={ckpt} holds weights alone, for tests and predictions: go on from the run's last.ckpt")
-    trained = _weights_depend_on(checkpoint.origin)
-    wanted = _weights_depend_on(origin)
-    if differing := [key for key in sorted(trained.keys() | wanted.keys()) if trained.get(key) != wanted.get(key)]:
-        keys = ", ".join(f"{key}={trained.get(key)}" for key in differing)
+    if keys := _differing(_weights_depend_on(checkpoint.origin), _weights_depend_on(origin)):
         raise CophyError(f"ckpt={ckpt} is of another training ({keys}): go on with the same settings, or start anew")
+
+
+def check_trained(predictor: Path, origin: Origin) -> None:
+    """Refuse a checkpoint whose weights are not those that this training would end with.
+
+    Args:
+        predictor: The checkpoint to test instead of training; reading it runs no code.
+        origin: What would be trained.
+
+    Raises:
+        CophyError: It is no checkpoint, too old to tell, or of another training; the message names the keys that differ.
+    """
+    own = _read(predictor, "predictor", "best.ckpt").origin
+    if own.seed is None:
+        raise CophyError(
+            f"predictor={predictor} does not say with which seed it was trained, as earlier versions did not"
+        )
+    if keys := _differing(_all_weights_depend_on(own), _all_weights_depend_on(origin)):
+        raise CophyError(f"predictor={predictor} is of another training ({keys}): test it with the same settings")
 
 
 def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -39,10 +54,29 @@ def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return leaves
 
 
+def _read(path: Path, key: str, kept: str) -> Checkpoint:
+    if not path.is_file():
+        raise CophyError(f"{key}={path} is no file: a run keeps {kept} in its checkpoints/")
+    return read_checkpoint(read_bytes(path), path)
+
+
+def _differing(trained: dict[str, Any], wanted: dict[str, Any]) -> str:
+    """The settings of a checkpoint that are not those wanted; of many, the first."""
+    keys = [key for key in sorted(trained.keys() | wanted.keys()) if trained.get(key) != wanted.get(key)]
+    more = [f"and {len(keys) - NAMED} others"] if len(keys) > NAMED else []
+    return ", ".join([*(f"{key}={trained.get(key)}" for key in keys[:NAMED]), *more])
+
+
+def _all_weights_depend_on(origin: Origin) -> dict[str, Any]:
+    """Also what a training that goes on may change."""
+    last = {"seed": origin.seed, "trainer": origin.trainer, "split.epochs_factor": origin.split.get("epochs_factor")}
+    return _weights_depend_on(origin) | flatten(last)
+
+
 def _weights_depend_on(origin: Origin) -> dict[str, Any]:
     parts = {
         "scenario": origin.scenario,
-        "split.train": origin.split["train"],
+        "split.train": origin.split.get("train"),
         "model": origin.model,
         "training": origin.training,
         "data_seed": origin.data_seed,
