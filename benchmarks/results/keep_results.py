@@ -1,8 +1,9 @@
 """Results that stay when outputs/ go: python benchmarks/results/keep_results.py [outputs [table.csv]]
 
 Adds every finished run to docs/results/results.csv, with the commit of this checkout, and with its share of the possible gain where
-both oracles are among the runs. A run that is in the table already (the same names, data and epochs) is replaced. Run it before
-the code changes: no file of src/ or conf/ may differ from the commit.
+both oracles are among the runs. A run that is in the table already (the same names, data and epochs) is replaced, but no training
+by a test of given weights (predictor=), whose commit is that of the test. Run it before the code changes: no file of src/ or conf/
+may differ from the commit.
 """
 
 import subprocess
@@ -44,8 +45,9 @@ def main(outputs: Path, table: Path) -> None:
     for _, tested in found[found["positions"] == "ground_truth"].groupby(TESTED):
         found.loc[tested.index, SHARE] = shares(tested)
     before = [pd.read_csv(table, keep_default_na=False, dtype=str)] if table.exists() else []
-    merged = pd.concat([*before, found.reindex(columns=COLUMNS).map(as_text)], ignore_index=True)
-    kept = merged.drop_duplicates(KEY, keep="last").sort_values(KEY)
+    merged = pd.concat([*before, found.reindex(columns=COLUMNS).map(as_text)], ignore_index=True).fillna("")
+    trained_last = merged.sort_values("predictor", key=lambda given: given == "", kind="stable")
+    kept = trained_last.drop_duplicates(KEY, keep="last").sort_values(KEY)
     write_atomically(table, kept.to_csv(index=False).encode())
     print(f"{table}: {len(found)} runs of commit {commit}, {len(kept)} in all")
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from cophy.atomic_files import sha256
+from cophy.report.runs.stored_run import read_line
 from tests.commands import train
 
 RUN = "seed0+size-tiny+max_epochs-1"
@@ -48,6 +49,8 @@ def test_a_kept_checkpoint_is_tested_instead_of_training(tiny_data: Path, tmp_pa
     assert [tested[key] for key in alike] == [trained[key] for key in alike]
     assert (trained["predictor"], tested["predictor"]) == (None, sha256(kept)[:8])
     assert tested["training_seconds"] == 0
+    line = read_line(next((tmp_path / "elsewhere").rglob("metrics.json")))
+    assert line["is_trained"]  # not here, but it is no copy
     assert not list((tmp_path / "elsewhere").rglob("*.ckpt"))
     for key, own in {
         "seed=1": "seed=0",
@@ -57,6 +60,11 @@ def test_a_kept_checkpoint_is_tested_instead_of_training(tiny_data: Path, tmp_pa
         printed = train(*elsewhere, key, data=tiny_data, code=1)
         assert f"{kept} is of another training (" in printed
         assert own in printed
+    assert "metrics.json is of a training with these settings" in train(
+        *HALVES, "split=4to3", f"predictor={kept}", f"source.outputs={tmp_path}", data=tiny_data, code=1
+    )
+    assert result(tmp_path, "4to3") == trained
+    train(*elsewhere, data=tiny_data)  # its own it may replace
 
 
 def test_a_checkpoint_that_does_not_say_its_seed_is_not_tested(tiny_data: Path, tmp_path: Path) -> None:

@@ -74,7 +74,7 @@ def test_empty_rows_and_columns_are_left_out() -> None:
 def test_the_overview_tells_mse_epochs_seeds_and_failures() -> None:
     lines = [
         *(run("cophynet", seed=seed) for seed in range(3)),
-        run("copy_c", training_seconds=0.0),
+        run("copy_c", training_seconds=0.0, is_trained=False),
         run("cophynet", split="3to4") | {"error": "broken"},
         run("in", positions="derendered"),
     ]

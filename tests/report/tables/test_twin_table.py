@@ -27,7 +27,7 @@ def test_every_run_on_twins_has_a_line_and_every_tested_split_a_column() -> None
 
 
 def test_what_trains_nothing_stands_beside_the_longest_training() -> None:
-    copy = on_twins("copy_b", 0.3, 0.6, training_seconds=0.0)
+    copy = on_twins("copy_b", 0.3, 0.6, is_trained=False)
     runs = [on_twins("cophynet", 0.4, 0.7, epochs=15), on_twins("in", 0.0, 0.5, epochs=5), copy]
     explained, _ = twin_tables(pd.DataFrame(runs)).values()
     assert explained.loc["copy_b"].tolist() == ["30.0 % [29.0, 32.0]", "—"]

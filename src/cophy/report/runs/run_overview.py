@@ -41,7 +41,7 @@ def _text(runs: pd.DataFrame) -> str:
     failed = f"{len(runs) - len(finished)} failed"
     if finished.empty:
         return failed
-    lengths = sorted(finished.loc[finished["training_seconds"] > 0, "epochs"].astype(int).unique())
+    lengths = sorted(finished.loc[finished["is_trained"].astype(bool), "epochs"].astype(int).unique())
     epochs = ", ".join(map(str, lengths))
     longest = finished[finished["epochs"] == finished["epochs"].max()]
     text = f"{longest['mse'].mean():.3f} ({epochs} × {len(finished)})".replace("( ", "(")

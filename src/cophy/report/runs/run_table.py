@@ -85,7 +85,10 @@ def summary(runs: pd.DataFrame) -> pd.DataFrame:
     for choice, found in runs.groupby(["scenario", "split", "model", "ablation", "positions", "size"]):
         line = {"run": " ".join(str(name) for name in choice), "seeds": _seeds(found)}
         if "training_seconds" in found and found["training_seconds"].notna().any():
-            line["training (s)"] = f"{found['training_seconds'].mean():.0f}"
+            trained_before = found["predictor"].notna()
+            line["training (s)"] = (
+                "—" if trained_before.all() else f"{found.loc[~trained_before, 'training_seconds'].mean():.0f}"
+            )
         line |= {metric.replace("_", " "): _show(found[metric].dropna()) for metric in metrics_of(found)}
         rows.append(line)
     return pd.DataFrame(rows).fillna("—")

@@ -42,6 +42,7 @@ def read_line(path: Path) -> dict[str, Any]:
     line |= {name: content.get(name) for name in ("dataset_ids", *CHECKPOINTS)}
     if not _is_texts(line["dataset_ids"]) or not all(isinstance(line[name], str | None) for name in CHECKPOINTS):
         raise CophyError("dataset_ids, derenderer or predictor are no names")
+    line["is_trained"] = line["training_seconds"] > 0 or line["predictor"] is not None  # here, or before
     metrics, intervals = content.get("metrics"), content.get("intervals")
     if not (isinstance(metrics, dict) and isinstance(intervals, dict)):
         raise CophyError("metrics or intervals are missing")

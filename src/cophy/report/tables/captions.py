@@ -46,6 +46,7 @@ def caption(table: PaperTable, used: pd.DataFrame) -> str:
         notes.append(ORACLES)
     if "derenderer" in used and len(names := sorted(used["derenderer"].dropna().unique())):
         notes.append(f"Positions estimated by de-renderer {' and '.join(names)} (hash of its checkpoint).")
-    if "predictor" in used and len(names := sorted(used["predictor"].dropna().unique())):
-        notes.append(f"Not trained anew: {', '.join(names)} (hashes of the checkpoints that were tested).")
+    if "predictor" in used and len(before := used[used["predictor"].notna()]):
+        named = sorted({f"{run.model} seed {run.seed} ({run.predictor})" for run in before.itertuples()})
+        notes.append(f"Not trained here but given as checkpoints (by hash): {', '.join(named)}.")
     return " ".join([*notes, table.note]).strip()

@@ -37,7 +37,7 @@ def twin_tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 def _beside_longest(tested: pd.DataFrame) -> pd.DataFrame:
     """The runs; those that trained nothing, as copies, take the epochs of the longest training beside them, or none."""
-    trained = tested["epochs"].where(tested["training_seconds"] > 0)
+    trained = tested["epochs"].where(tested["is_trained"].astype(bool))
     longest = trained.groupby([tested[name] for name in BESIDE]).transform("max")
     return tested.assign(epochs=trained.fillna(longest))
 

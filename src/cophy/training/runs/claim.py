@@ -24,8 +24,20 @@ class Claim:
     def __init__(self, run: Run) -> None:
         self.run, self.has_begun = run, False
 
-    def begin(self) -> None:
-        """Forget earlier results of the run. What is refused before, by a wrong key or missing data, costs none."""
+    def begin(self, *, trains: bool) -> None:
+        """Forget earlier results of the run. What is refused before, by a wrong key or missing data, costs none.
+
+        Args:
+            trains: Whether it trains what it tests. If not, the results of a training are left alone.
+
+        Raises:
+            CophyError: There are such results.
+        """
+        if is_first() and not trains and _is_of_training(self.run):
+            raise CophyError(
+                f"{self.run.directory / METRICS} is of a training with these settings: keep the results of predictor= "
+                "elsewhere (source.outputs=), or remove it"
+            )
         self.has_begun = True
         if is_first():
             forget_results(self.run)
@@ -58,6 +70,13 @@ def claimed(run: Run) -> Iterator[Claim]:
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:
                 raise CophyError(f"no space left for {run.directory}: {SAFE}") from error
             raise
+
+
+def _is_of_training(run: Run) -> bool:
+    try:
+        return json.loads((run.directory / METRICS).read_bytes()).get("predictor") is None
+    except (FileNotFoundError, ValueError, AttributeError):
+        return False
 
 
 def _check_own(run: Run) -> None:
