@@ -28,7 +28,6 @@ ESTIMATED: dict[str, tuple[str, ...]] = {
     "train_ground_truth_test_derendered": ("test",),  # the paper's headline setting
 }
 
-
 SCENARIOS: dict[str, type[Scenario]] = {"blocktower": Blocktower, "balls": Balls, "collision": Collision}
 
 
