@@ -17,7 +17,7 @@ from tests.conftest import SCENARIOS
 
 FIELDS = {
     "scenario", "split", "model", "ablation", "positions", "seed", "size", "variant", "validation",
-    "dataset_ids", "derenderer", "max_epochs", "num_train", "num_test", "training_seconds", "resumed", "wall_seconds", "metrics", "intervals",
+    "dataset_ids", "derenderer", "predictor", "max_epochs", "num_train", "num_test", "training_seconds", "resumed", "wall_seconds", "metrics", "intervals",
     "copies",
 }  # fmt: skip
 
