@@ -7,10 +7,12 @@ import pytest
 from torch.utils.data import DataLoader
 
 import cophy
+from cophy.errors import CophyError
 from tests.conftest import ROOT
 
 FOLDER = ROOT / "checkpoints"
 KEPT = sorted(FOLDER.glob("*.ckpt"))
+TOLD = [path for path in KEPT if path.stem.endswith("in_sup")]  # the true confounders
 
 
 def test_the_readme_lists_them() -> None:
@@ -19,7 +21,7 @@ def test_the_readme_lists_them() -> None:
     assert sorted(listed) == [path.name for path in KEPT]
 
 
-@pytest.mark.parametrize("checkpoint", KEPT, ids=lambda path: path.stem)
+@pytest.mark.parametrize("checkpoint", [path for path in KEPT if path not in TOLD], ids=lambda path: path.stem)
 def test_a_checkpoint_errs_less_than_copy_c(checkpoint: Path, tiny_data: Path) -> None:
     predictor = cophy.load_predictor(checkpoint)
     experiments = cophy.load(predictor.scenario.name, size="tiny", split=None, data_dir=str(tiny_data))
@@ -29,3 +31,9 @@ def test_a_checkpoint_errs_less_than_copy_c(checkpoint: Path, tiny_data: Path) -
     present = batch["presence"][:, 1, None, :, None]
     of_copy, of_predictor = ((guess - d).square().mul(present).sum() for guess in (c, predictor(batch)))
     assert of_predictor < 0.8 * of_copy
+
+
+def test_one_that_is_told_the_confounders_is_for_train_py_alone() -> None:
+    (checkpoint,) = TOLD
+    with pytest.raises(CophyError, match="wants the true confounders, which no picture shows"):
+        cophy.load_predictor(checkpoint)
