@@ -33,7 +33,7 @@ def test_a_checkpoint_errs_less_than_copy_c(checkpoint: Path, tiny_data: Path) -
     assert of_predictor < 0.8 * of_copy
 
 
-def test_one_that_is_told_the_confounders_is_for_train_py_alone() -> None:
-    (checkpoint,) = TOLD
+@pytest.mark.parametrize("checkpoint", TOLD, ids=lambda path: path.stem)
+def test_one_that_is_told_the_confounders_is_for_train_py_alone(checkpoint: Path) -> None:
     with pytest.raises(CophyError, match="wants the true confounders, which no picture shows"):
         cophy.load_predictor(checkpoint)
