@@ -6,11 +6,12 @@ import pytest
 import torch
 
 from cophy.app.composition import settings
+from cophy.dataset.feed.batches import to_batch
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
-from cophy.types import CONFOUNDERS
+from cophy.types import CONFOUNDERS, map_tensors
 from tests.conftest import tiny_spec
 
 OPTIONAL = ("confounders", "object_type", "pose")
@@ -32,6 +33,18 @@ def fed(
     )
     data.setup()
     return data
+
+
+def test_a_split_is_made_of_what_is_stored_although_states_between_frames_are_dropped(tiny_data: Path) -> None:
+    def same(had: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        assert torch.equal(had, wanted)
+        return had
+
+    data = fed(tiny_data)
+    stored = data.train_set.load()
+    rows = data.split.train.select_split(stored, "train")
+    expected = to_batch({name: array[rows] for name, array in stored.items()}, data.scenario)
+    map_tensors(same, data.train.batch, expected)
 
 
 @pytest.mark.parametrize("name", [None, *OPTIONAL])

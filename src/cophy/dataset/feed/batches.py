@@ -14,12 +14,32 @@ from cophy.types import Batch, Inputs, Targets
 
 
 def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
-    """Positions at the frame rate, presence and stability of all experiments; without confounders."""
-    inputs = true_inputs(arrays["states"], arrays["presence"], scenario)
-    counterfactual = arrays["states"][:, 1]
+    """Positions, presence and stability of experiments as they are stored; without confounders."""
+    return frames_to_batch(frames_of(arrays, scenario), scenario)
+
+
+def frames_of(arrays: dict[str, np.ndarray], scenario: Scenario) -> dict[str, np.ndarray]:
+    """What batches are made of: a quarter of the states, one for each frame.
+
+    Args:
+        arrays: Of experiments, as they are stored.
+        scenario: Says how fast frames follow each other, and what stable means.
+
+    Returns:
+        The same but for `states` (experiment, 2, T, slot, 13), and with `stable` (experiment, 2, T-1, slot): whether an
+        object is slow in all states from one frame to the next.
+    """
+    stride, states = scenario.clock.states_per_frame, arrays["states"]
+    stable = [stable_frames(states[:, sequence], stride, scenario.task.stable_speed) for sequence in (0, 1)]
+    return arrays | {"states": states[:, :, ::stride].copy(), "stable": np.stack(stable, axis=1)}
+
+
+def frames_to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
+    """The same as `to_batch`, of what `frames_of` leaves of the arrays."""
+    inputs = _true_inputs(arrays)
     targets = Targets(
-        position=_positions(counterfactual, scenario)[:, 1:],
-        stable=_stable(counterfactual, scenario),
+        position=_positions(arrays, 1)[:, 1:],
+        stable=torch.from_numpy(arrays["stable"][:, 1]),
         presence=inputs.presence,
         initial=inputs.initial,
         observed_presence=inputs.observed_presence,
@@ -34,16 +54,20 @@ def true_inputs(states: np.ndarray, presence: np.ndarray, scenario: Scenario) ->
     """AB and C as they were; D is not looked at.
 
     Args:
-        states: (experiment, 2, T, slot, 13) of AB and CD.
+        states: (experiment, 2, state, slot, 13) of AB and CD, as they are stored.
         presence: (experiment, 2, slot), which slots hold an object.
         scenario: Says what stable means, and how fast frames follow each other.
     """
-    observed_presence, counterfactual_presence = torch.from_numpy(presence).unbind(1)
+    return _true_inputs(frames_of({"states": states, "presence": presence}, scenario))
+
+
+def _true_inputs(arrays: dict[str, np.ndarray]) -> Inputs:
+    observed_presence, counterfactual_presence = torch.from_numpy(arrays["presence"]).unbind(1)
     return Inputs(
-        observed=_positions(states[:, 0], scenario),
+        observed=_positions(arrays, 0),
         observed_presence=observed_presence,
-        observed_stable=_stable(states[:, 0], scenario),
-        initial=torch.from_numpy(states[:, 1, 0, :, :3].copy()),
+        observed_stable=torch.from_numpy(arrays["stable"][:, 0]),
+        initial=_positions(arrays, 1)[:, 0],
         presence=counterfactual_presence,
     )
 
@@ -81,12 +105,8 @@ def with_estimates(batch: Batch, estimates: dict[str, np.ndarray], scenario: Sce
     return replace(batch, inputs=replace(seen, confounders=batch.inputs.confounders))
 
 
-def _positions(states: np.ndarray, scenario: Scenario) -> Tensor:
-    return torch.from_numpy(states[:, :: scenario.clock.states_per_frame, :, :3].copy())
-
-
-def _stable(states: np.ndarray, scenario: Scenario) -> Tensor:
-    return torch.from_numpy(stable_frames(states, scenario.clock.states_per_frame, scenario.task.stable_speed))
+def _positions(arrays: dict[str, np.ndarray], sequence: int) -> Tensor:
+    return torch.from_numpy(arrays["states"][:, sequence, ..., :3].copy())
 
 
 def _seems_stable(

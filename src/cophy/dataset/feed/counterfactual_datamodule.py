@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import lightning as L
@@ -13,7 +14,7 @@ from torch.utils.data import DataLoader
 from cophy.dataset import generation
 from cophy.dataset.feed.appearance_features import with_appearance
 from cophy.dataset.feed.batch_order import Share
-from cophy.dataset.feed.batches import to_batch, with_estimates
+from cophy.dataset.feed.batches import frames_of, frames_to_batch, with_estimates
 from cophy.dataset.feed.confounder_features import confounder_features, confounder_statistics, standardised
 from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
 from cophy.dataset.feed.declared_inputs import DeclaredInputs
@@ -138,7 +139,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         return {name: array[kept] for name, array in stored.items()}
 
     def _batch(self, arrays: Arrays) -> Batch:
-        return with_appearance(to_batch(arrays, self.scenario), arrays, self.declared)
+        return with_appearance(frames_to_batch(arrays, self.scenario), arrays, self.declared)
 
     def _set_of(self, split: str) -> ExperimentSet:
         return self.test_set if split == "test" else self.train_set
@@ -165,7 +166,8 @@ class CounterfactualDataModule(L.LightningDataModule):
         return Estimates(experiments, self.derenderer, TEST_INPUTS if set(self.estimated) == {"test"} else INPUTS)
 
     def _load(self, experiments: ExperimentSet) -> Arrays:
-        arrays, estimates = experiments.load(), self._estimates(experiments)
+        arrays = experiments.load(partial(frames_of, scenario=self.scenario))
+        estimates = self._estimates(experiments)
         if estimates is None:
             return arrays
         if "clip" in arrays and not arrays["clip"].all():

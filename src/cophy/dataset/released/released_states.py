@@ -19,6 +19,7 @@ from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.store.experiment_arrays import scene_fields
 from cophy.dataset.store.experiment_set import ExperimentSet, OracleSettings
 from cophy.dataset.store.hdf5_arrays import Field, Fields, empty_arrays, encode
+from cophy.dataset.store.shardset import Arrays
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.scenario.rendering.frames import RenderSettings
@@ -111,9 +112,9 @@ class ReleasedStates(ExperimentSet):
         """Where the data lie, and as what they were read."""
         return {"id": self.spec.id, **self.spec.reading()}
 
-    def load(self) -> dict[str, np.ndarray]:
+    def load(self, reduced: Callable[[Arrays], Arrays] = lambda arrays: arrays) -> Arrays:
         """The arrays of all whole experiments that the lists name, by id; what is broken is reported."""
-        arrays = super().load()
+        arrays = super().load(reduced)
         problems = [problem.decode(errors="replace") for problem in arrays.pop("problem").tolist()]
         trust.report_problems(problems, self.spec, self.directory)
         whole = np.array([not problem for problem in problems])

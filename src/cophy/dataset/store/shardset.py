@@ -17,6 +17,7 @@ from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
 IDENTITY = "shard"  # the attribute of a file
+Arrays = dict[str, np.ndarray]
 
 
 class Sharded(Protocol):
@@ -93,7 +94,7 @@ class ShardSet(ABC):
         """What to say where the set is not there: a sentence about each thing beside it that may be taken for it."""
         return []
 
-    def check_arrays(self, arrays: dict[str, np.ndarray], shard: int) -> None:  # noqa: B027, nothing unless overridden
+    def check_arrays(self, arrays: Arrays, shard: int) -> None:  # noqa: B027, nothing unless overridden
         """Raise DamagedShardError where values cannot be, although shapes and types are right."""
 
     def check(self, path: Path, shard: int) -> None:
@@ -142,14 +143,18 @@ class ShardSet(ABC):
                 raise DamagedShardError(f"it is shard {found}, expected {expected}")
         self.check(self.path(shard), shard)
 
-    def read(self, shard: int) -> dict[str, np.ndarray]:
+    def read(self, shard: int) -> Arrays:
         """The arrays of one shard of a finished set, checked against its checksum."""
         return self._verified(shard, self.checksum(shard))
 
-    def load(self) -> dict[str, np.ndarray]:
-        """All arrays, experiments in order; every shard is checked against its checksum."""
+    def load(self, reduced: Callable[[Arrays], Arrays] = lambda arrays: arrays) -> Arrays:
+        """All arrays, experiments in order; every shard is checked against its checksum.
+
+        Args:
+            reduced: Makes of the arrays of a shard what is kept of them, so that the rest is never in memory all at once.
+        """
         checksums = self.finished_checksums()
-        shards = [self._verified(shard, checksums[path.name]) for shard, path in enumerate(self._paths())]
+        shards = [reduced(self._verified(shard, checksums[path.name])) for shard, path in enumerate(self._paths())]
         return {name: np.concatenate([arrays[name] for arrays in shards]) for name in shards[0]}
 
     def opened(self, path: Path, shard: int) -> AbstractContextManager[dict[str, h5py.Dataset]]:
@@ -184,12 +189,12 @@ class ShardSet(ABC):
         if found != checksum:
             raise DamagedShardError(f"its checksum is not the one in {manifest.MANIFEST}")
 
-    def _verified(self, shard: int, checksum: str) -> dict[str, np.ndarray]:
+    def _verified(self, shard: int, checksum: str) -> Arrays:
         with self.explained(shard):
             self._compare(shard, checksum)
             return self._read(self.path(shard), shard)
 
-    def _read(self, path: Path, shard: int) -> dict[str, np.ndarray]:
+    def _read(self, path: Path, shard: int) -> Arrays:
         with self.opened(path, shard) as stored:
             arrays = {name: np.asarray(array[()]) for name, array in stored.items()}
         self.check_arrays(arrays, shard)
