@@ -1,8 +1,9 @@
 """Is one model better than another? python benchmarks/results/compare_rows.py alongside cophynet [outputs]
 
-What a run changes beyond its model is named as its directory has it: cophynet+max_epochs-55. Both were tested on the same
-experiments, so their errors are compared experiment by experiment. Prints a Markdown table with a line per tested split: the seeds
-that both have, both MSE (mean over seeds), and their difference with its 95 % interval.
+What a run changes beyond its model is named as its directory has it: cophynet+max_epochs-55; and so is its ablation:
+in+ablation-gt_confounders. Both were tested on the same experiments, so their errors are compared experiment by experiment. Prints
+a Markdown table with a line per tested split: the seeds that both have, both MSE (mean over seeds), and their difference with its
+95 % interval.
 """
 
 import sys
@@ -21,8 +22,8 @@ TESTED = ["scenario", "split", "positions", "size"]  # what both runs share
 
 
 def main(ours: str, other: str, outputs: Path) -> None:
-    """Compare two models, both with ablation=full, wherever both were run."""
-    paths = sorted(outputs.glob(f"*/*/*/full/*/seed*/{METRICS}"))
+    """Compare two models wherever both were run."""
+    paths = sorted(outputs.glob(f"*/*/*/*/*/seed*/{METRICS}"))
     if not paths:
         sys.exit(f"{outputs}: no finished runs")
     runs = pd.DataFrame([run_of(path) for path in paths])
@@ -40,9 +41,10 @@ def main(ours: str, other: str, outputs: Path) -> None:
 def run_of(path: Path) -> dict[str, object]:
     """A run's line, the name that it has here, and what its errors are read with."""
     line, configuration = read_line(path), read_configuration(path.parent / ".hydra" / "config.yaml")
+    ablation = "" if line["ablation"] == "full" else f"+ablation-{line['ablation']}"
     variant = line["variant"].replace(f"+size-{line['size']}", "")
     return line | {
-        "name": f"{line['model']}{variant}",
+        "name": f"{line['model']}{ablation}{variant}",
         "directory": path.parent,
         "metric_dims": configuration.scenario.task.metric_dims,
         "epochs": configuration.trainer.max_epochs * configuration.split.get("epochs_factor", 1),
