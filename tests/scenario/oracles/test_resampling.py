@@ -1,10 +1,14 @@
 """What could be without AB, with and without what is given besides."""
 
+from itertools import count
+
 import numpy as np
 import pytest
 
 from cophy.dataset.replay import do_operation_of, scene_of
+from cophy.errors import CophyError
 from cophy.scenario import Simulator
+from cophy.scenario.oracles import resampling
 from cophy.scenario.oracles.resampling import resample
 from cophy.scenario.physics.remembering_simulator import RememberingSimulator
 
@@ -70,3 +74,26 @@ def test_what_is_drawn_meets_the_conditions_of_the_search(name: str, scenario_of
         found = resample(scenario, scene, do_operation, draws=6, rng=rng, simulator=simulator)
     assert [id(each) for each in found.counterfactuals] == [id(each) for each in accepted]
     assert not asked[0]
+
+
+@pytest.mark.parametrize(("fits", "is_found"), [(10, True), (11, False)])
+def test_rare_twins_are_searched_for_as_long_as_one_more_is_found_in_time(
+    fits: int, is_found: bool, scenario_of, monkeypatch
+) -> None:
+    """One ball that is left alone hardly tells twins apart: every pair may take long, and all pairs longer."""
+    scenario, tries = scenario_of("balls"), count(1)
+    with Simulator() as simulator:
+        pair = scenario.twin_pair(2, data_seed=0, pair=0, simulator=simulator)
+        kept = pair[0].counterfactual, pair[1].counterfactual
+
+        def rarely(self, scenes, simulator, observed=None):
+            return kept if observed is not None or next(tries) % fits == 0 else None
+
+        monkeypatch.setattr(resampling, "MAX_TRIES", 10)
+        monkeypatch.setattr(type(scenario), "different_outcomes", rarely)
+        drawing = {"draws": 8, "rng": np.random.default_rng(0), "simulator": simulator}
+        if is_found:
+            assert len(resample(scenario, pair[0].scene, pair[0].do_operation, **drawing).counterfactuals) == 8
+        else:
+            with pytest.raises(CophyError, match="no balls twins fit this scene in 10 tries"):
+                resample(scenario, pair[0].scene, pair[0].do_operation, **drawing)

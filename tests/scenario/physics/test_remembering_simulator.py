@@ -1,5 +1,6 @@
 import numpy as np
 
+from cophy.scenario.physics import remembering_simulator
 from cophy.scenario.physics.remembering_simulator import RememberingSimulator
 
 
@@ -15,6 +16,18 @@ def test_a_scene_is_simulated_once_until_it_is_forgotten(scenario_of) -> None:
         again = scenario.simulate(simulator, scene)
         assert simulator.num_simulations == 3
         assert np.array_equal(again.states, first.states)
+
+
+def test_the_oldest_is_forgotten_where_there_are_too_many(scenario_of, monkeypatch) -> None:
+    scenario = scenario_of("collision")
+    scene = scenario.sample_scene(0, (0, 1), np.random.default_rng(0))
+    monkeypatch.setattr(remembering_simulator, "MOST", 2)
+    with RememberingSimulator() as simulator:
+        first, second, third = (scenario.simulate(simulator, scenario.under(each, scene)) for each in (0, 1, 2))
+        assert scenario.simulate(simulator, scenario.under(1, scene)) is second
+        assert scenario.simulate(simulator, scenario.under(2, scene)) is third
+        assert scenario.simulate(simulator, scenario.under(0, scene)) is not first
+        assert simulator.num_simulations == 4
 
 
 def _velocities(scene) -> np.ndarray:

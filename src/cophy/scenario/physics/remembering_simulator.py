@@ -4,11 +4,15 @@ from cophy.scenario.physics.scene import Scene, Trajectory
 from cophy.scenario.physics.simulation_settings import Clock, Solver
 from cophy.scenario.physics.simulator import Simulator
 
+MOST = (
+    10_000  # ours: at most a gigabyte, and more than the configurations that an oracle tries on a tower of four (2,304)
+)
+
 
 class RememberingSimulator(Simulator):
     """Gives a scene's trajectory again where it was simulated before; for experiments that share scenes, as twins do.
 
-    Trajectories stay in memory until `forget`.
+    The last `MOST` trajectories stay in memory until `forget`.
     """
 
     def __init__(self) -> None:
@@ -22,6 +26,8 @@ class RememberingSimulator(Simulator):
         """See `Simulator.simulate`; what is given must not be changed."""
         key = (scene, repr((solver, clock, num_slots)))
         if key not in self._known:
+            if len(self._known) == MOST:
+                del self._known[next(iter(self._known))]
             self._known[key] = super().simulate(scene, solver=solver, clock=clock, num_slots=num_slots)
         return self._known[key]
 
