@@ -4,9 +4,7 @@ from cophy.scenario.physics.scene import Scene, Trajectory
 from cophy.scenario.physics.simulation_settings import Clock, Solver
 from cophy.scenario.physics.simulator import Simulator
 
-MOST = (
-    10_000  # ours: at most a gigabyte, and more than the configurations that an oracle tries on a tower of four (2,304)
-)
+MOST = 10_000  # ours: a gigabyte at most; an oracle tries up to 2,304 configurations of a tower
 
 
 class RememberingSimulator(Simulator):
