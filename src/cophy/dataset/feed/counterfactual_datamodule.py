@@ -21,11 +21,10 @@ from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.dataset.pictures.estimates import Estimates, Sees
 from cophy.dataset.pictures.needed_frames import INPUTS, TEST_INPUTS
 from cophy.dataset.splits import SPLITS, Split
+from cophy.dataset.state_features import Arrays
 from cophy.dataset.store.experiment_set import ExperimentSet
 from cophy.errors import CophyError
 from cophy.types import Batch
-
-Arrays = dict[str, np.ndarray]
 
 
 class CounterfactualDataModule(L.LightningDataModule):

@@ -16,10 +16,10 @@ from cophy.dataset.released.recording import BrokenExperimentError, to_row
 from cophy.dataset.released.released_spec import ReleasedSpec, listing
 from cophy.dataset.released.untrusted_files import BrokenFileError
 from cophy.dataset.splits import SPLITS, Split
+from cophy.dataset.state_features import Arrays
 from cophy.dataset.store.experiment_arrays import scene_fields
 from cophy.dataset.store.experiment_set import ExperimentSet, OracleSettings
 from cophy.dataset.store.hdf5_arrays import Field, Fields, empty_arrays, encode
-from cophy.dataset.store.shardset import Arrays
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.scenario.rendering.frames import RenderSettings

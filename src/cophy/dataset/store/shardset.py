@@ -11,13 +11,13 @@ import h5py
 import numpy as np
 
 from cophy.atomic_files import sha256
+from cophy.dataset.state_features import Arrays
 from cophy.dataset.store import manifest
 from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, attribute, check_plain, reading
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
 IDENTITY = "shard"  # the attribute of a file
-Arrays = dict[str, np.ndarray]
 
 
 class Sharded(Protocol):
