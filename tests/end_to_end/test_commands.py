@@ -1,7 +1,6 @@
-"""The commands of the README on tiny data."""
+"""Trainings, sweeps and reports on tiny data, by the commands of the README."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torch.utils.data import DataLoader
 
 import cophy
-from cophy.training.trained.trained_derenderer import TrainedDerenderer
 from tests.commands import run, train
 from tests.conftest import SCENARIOS
 
@@ -20,11 +18,6 @@ FIELDS = {
     "dataset_ids", "derenderer", "predictor", "max_epochs", "num_train", "num_test", "training_seconds", "resumed", "wall_seconds", "metrics", "intervals",
     "copies",
 }  # fmt: skip
-
-
-def audit(data: Path, **kwargs: int) -> str:
-    where = (f"data_dir={data}", f"directory={data}/audit")
-    return run("audit", "scenario=collision", "size=tiny", "replayed_pairs=2", *where, **kwargs)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -160,112 +153,3 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
 def test_transfers_run(name: str, split: str, tiny_data: Path, tmp_path: Path) -> None:
     train(f"scenario={name}", f"split={split}", f"hydra.run.dir={tmp_path}", data=tiny_data)
     assert json.loads((tmp_path / "metrics.json").read_text())["split"] == split
-
-
-def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_path: Path) -> None:
-    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
-    shard = next(tmp_path.rglob("shard-00001.h5"))
-    shard.write_bytes(shard.read_bytes()[:1000])
-    printed = train("scenario=collision", f"hydra.run.dir={tmp_path / 'run'}", data=tmp_path, code=1)
-    assert "shard-00001.h5 is damaged" in printed
-    assert "run `python src/generate.py scenario=collision" in printed
-    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
-    audit(tmp_path)
-    (page,) = tmp_path.glob("audit/*/audit.md")
-    assert "FAILS" not in page.read_text()
-    assert all(page.with_name(f"{name}.png").stat().st_size > 10_000 for name in ("outcomes", "bias"))
-    assert "lines hold (2 twin pairs" in shard.with_name("README.md").read_text()
-
-
-def test_audit_names_what_is_wrong(tmp_path: Path) -> None:
-    """Consistent checksums do not save a dataset whose twins do not belong together, or whose states are no numbers."""
-    import h5py
-
-    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
-    shard = next(tmp_path.rglob("shard-00000.h5"))
-    with h5py.File(shard, "r+") as file:
-        file["split"][0] = 2 - file["split"][0]
-        file["states"][5, 1, 7] = np.nan
-    manifest = shard.with_name("manifest.json")
-    manifest.unlink()
-    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")  # vouches for what it finds
-    printed = audit(tmp_path, code=1)
-    assert "audit: 2-tiny" in printed
-    assert "twins share all but confounders: split" in printed
-    assert "states are finite, empty slots zero: no" in printed
-    assert "Traceback" not in printed
-    (page,) = tmp_path.glob("audit/*/audit.md")
-    assert page.read_text().count("FAILS") == printed.count("audit: ")
-    assert "lines fail: " in shard.with_name("README.md").read_text()
-    shard.write_bytes(shard.read_bytes()[:-100])
-    printed = audit(tmp_path, code=1)
-    assert "shard-00000.h5 is damaged (its checksum is not the one in manifest.json): run `python src/gen" in printed
-    assert "Traceback" not in printed
-
-
-def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> None:
-    """De-renderer, estimates, a predictor that sees them, and a prediction from files."""
-    small = ("scenario=collision", f"source.outputs={tmp_path}")
-
-    def directory(model: str, positions: str) -> Path:
-        (found,) = tmp_path.glob(f"collision/all/{model}/full/{positions}/seed0+size-tiny*")
-        return found
-
-    sizes = ("model.resolution=16", "model.width=2", "model.readout=linear", "num_images=200", "trainer.max_epochs=2")
-    train("model=derenderer", *small, "render.resolution=16", "logger=tensorboard", *sizes, data=tiny_data)
-    row = directory("derenderer", "ground_truth")
-    measured = json.loads((row / "metrics.json").read_text())["metrics"]
-    assert {"mse", "euclidean_error", "x_error", "presence_accuracy", "mean_position_error"} <= set(measured)
-    curves = EventAccumulator(str(tmp_path / "tensorboard" / f"collision_all_derenderer_{row.name}"))
-    curves.Reload()
-    assert {"val/centres", "val/clip"} <= set(curves.Tags()["images"])
-
-    derender = ("derender", "scenario=collision", "size=tiny", f"data_dir={tiny_data}", f"outputs={tmp_path}")
-    said = run(*derender)
-    assert "48 experiments, 2 shards, all whole" in said
-    (estimates,) = tiny_data.rglob(f"derendered-{TrainedDerenderer(row / 'checkpoints' / 'best.ckpt').name}")
-    whole = {path.name: path.read_bytes() for path in estimates.iterdir() if path.suffix in (".h5", ".json")}
-    shutil.rmtree(estimates)
-    assert "part 1 of 2 is whole, others are not yet" in run(*derender, "part=1", "parts=2")
-    run(*derender, "part=0", "parts=2")
-    assert len(whole) == 3
-    assert {name: (estimates / name).read_bytes() for name in whole} == whole
-
-    for positions in ("derendered", "train_ground_truth_test_derendered"):
-        train(*small, f"positions={positions}", data=tiny_data)
-        seen = directory("cophynet", positions)
-        assert json.loads((seen / "metrics.json").read_text())["positions"] == positions
-
-    look = tmp_path / "look"
-    run(
-        "look",
-        "scenario=collision",
-        "size=tiny",
-        f"data_dir={tiny_data}",
-        "num_shown=1",
-        "render.resolution=32",
-        f"directory={look}",
-    )
-    assert {path.name for path in look.iterdir()} == {
-        "sheet.png",
-        "twins.png",
-        "strip.png",
-        "modalities.png",
-        "clip.gif",
-        "AB",
-        "CD",
-        "background.png",
-    }
-    checkpoints = {
-        "derenderer": row / "checkpoints" / "best.ckpt",
-        "predictor": directory("cophynet", "derendered") / "checkpoints" / "best.ckpt",
-    }
-    given = [f"{key}={path}" for key, path in checkpoints.items()]
-    files = [f"observed={look / 'AB'}", f"initial={look / 'CD' / '00.png'}", f"truth={look / 'CD'}"]
-    run("predict", *files, *given, f"background={look / 'background.png'}", f"directory={tmp_path / 'predicted'}")
-    assert (tmp_path / "predicted" / "prediction.gif").read_bytes()[:4] == b"GIF8"
-    assert (tmp_path / "predicted" / "positions.csv").read_text().startswith("frame,object,x_m,y_m,z_m\n0,")
-    swapped = run("predict", *files, f"derenderer={checkpoints['predictor']}", given[1], code=1)
-    assert "not of a de-renderer" in swapped
-    short = run("predict", files[1], f"observed={look / 'CD' / '00.png'}", *given, code=1)
-    assert "AB has 1 frames; the predictor knows 15" in short

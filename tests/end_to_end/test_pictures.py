@@ -1,0 +1,78 @@
+"""From pictures to positions, to a predictor that sees them, and to a prediction from files."""
+
+import json
+import shutil
+from pathlib import Path
+
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from cophy.training.trained.trained_derenderer import TrainedDerenderer
+from tests.commands import run, train
+
+
+def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> None:
+    """De-renderer, estimates, a predictor that sees them, and a prediction from files."""
+    small = ("scenario=collision", f"source.outputs={tmp_path}")
+
+    def directory(model: str, positions: str) -> Path:
+        (found,) = tmp_path.glob(f"collision/all/{model}/full/{positions}/seed0+size-tiny*")
+        return found
+
+    sizes = ("model.resolution=16", "model.width=2", "model.readout=linear", "num_images=200", "trainer.max_epochs=2")
+    train("model=derenderer", *small, "render.resolution=16", "logger=tensorboard", *sizes, data=tiny_data)
+    row = directory("derenderer", "ground_truth")
+    measured = json.loads((row / "metrics.json").read_text())["metrics"]
+    assert {"mse", "euclidean_error", "x_error", "presence_accuracy", "mean_position_error"} <= set(measured)
+    curves = EventAccumulator(str(tmp_path / "tensorboard" / f"collision_all_derenderer_{row.name}"))
+    curves.Reload()
+    assert {"val/centres", "val/clip"} <= set(curves.Tags()["images"])
+
+    derender = ("derender", "scenario=collision", "size=tiny", f"data_dir={tiny_data}", f"outputs={tmp_path}")
+    said = run(*derender)
+    assert "48 experiments, 2 shards, all whole" in said
+    (estimates,) = tiny_data.rglob(f"derendered-{TrainedDerenderer(row / 'checkpoints' / 'best.ckpt').name}")
+    whole = {path.name: path.read_bytes() for path in estimates.iterdir() if path.suffix in (".h5", ".json")}
+    shutil.rmtree(estimates)
+    assert "part 1 of 2 is whole, others are not yet" in run(*derender, "part=1", "parts=2")
+    run(*derender, "part=0", "parts=2")
+    assert len(whole) == 3
+    assert {name: (estimates / name).read_bytes() for name in whole} == whole
+
+    for positions in ("derendered", "train_ground_truth_test_derendered"):
+        train(*small, f"positions={positions}", data=tiny_data)
+        seen = directory("cophynet", positions)
+        assert json.loads((seen / "metrics.json").read_text())["positions"] == positions
+
+    look = tmp_path / "look"
+    run(
+        "look",
+        "scenario=collision",
+        "size=tiny",
+        f"data_dir={tiny_data}",
+        "num_shown=1",
+        "render.resolution=32",
+        f"directory={look}",
+    )
+    assert {path.name for path in look.iterdir()} == {
+        "sheet.png",
+        "twins.png",
+        "strip.png",
+        "modalities.png",
+        "clip.gif",
+        "AB",
+        "CD",
+        "background.png",
+    }
+    checkpoints = {
+        "derenderer": row / "checkpoints" / "best.ckpt",
+        "predictor": directory("cophynet", "derendered") / "checkpoints" / "best.ckpt",
+    }
+    given = [f"{key}={path}" for key, path in checkpoints.items()]
+    files = [f"observed={look / 'AB'}", f"initial={look / 'CD' / '00.png'}", f"truth={look / 'CD'}"]
+    run("predict", *files, *given, f"background={look / 'background.png'}", f"directory={tmp_path / 'predicted'}")
+    assert (tmp_path / "predicted" / "prediction.gif").read_bytes()[:4] == b"GIF8"
+    assert (tmp_path / "predicted" / "positions.csv").read_text().startswith("frame,object,x_m,y_m,z_m\n0,")
+    swapped = run("predict", *files, f"derenderer={checkpoints['predictor']}", given[1], code=1)
+    assert "not of a de-renderer" in swapped
+    short = run("predict", files[1], f"observed={look / 'CD' / '00.png'}", *given, code=1)
+    assert "AB has 1 frames; the predictor knows 15" in short
