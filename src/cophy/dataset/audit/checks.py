@@ -28,14 +28,14 @@ class ClassifierCheck(Check):
     chance: float
 
 
-def tolerance(share: float, draws: int) -> float:
-    """BALANCE_TOLERANCE, or three standard deviations of a share among `draws` independent draws where that is more (tiny sets).
+def by_chance(share: float, draws: int) -> float:
+    """How far chance may take a share among `draws` independent draws: three standard deviations; everywhere without any draw."""
+    return 3 * float(np.sqrt(share * (1 - share) / draws)) if draws else 1.0
 
-    Without any draw every share is by chance.
-    """
-    if draws < 1:
-        return 1.0
-    return max(BALANCE_TOLERANCE, 3 * float(np.sqrt(share * (1 - share) / draws)))
+
+def tolerance(share: float, draws: int) -> float:
+    """BALANCE_TOLERANCE, or what chance may do where that is more (tiny sets)."""
+    return max(BALANCE_TOLERANCE, by_chance(share, draws))
 
 
 def none_wrong(name: str, wrong: list[int]) -> Check:

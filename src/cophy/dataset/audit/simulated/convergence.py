@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cophy.dataset.audit.checks import Arrays, Check
+from cophy.dataset.audit.checks import Arrays, Check, by_chance
 from cophy.dataset.replay import do_operation_of, scene_of
 from cophy.dataset.spec import DatasetSpec
 from cophy.scenario import Simulator
@@ -28,10 +28,10 @@ def convergence(arrays: Arrays, spec: DatasetSpec, pairs: int) -> Iterator[Check
     rows = np.unique(np.linspace(0, len(arrays["twin"]) - 1, 2 * pairs).astype(int)).tolist()
     with Simulator() as simulator:
         moved = np.array(moved_by_twice_the_rate(arrays, spec, rows, simulator))
-    share, chance = float((moved < MAX_MOVED_M).mean()), 3 * np.sqrt(MIN_SHARE * (1 - MIN_SHARE) / len(rows))
+    share = float((moved < MAX_MOVED_M).mean())
     found = f"half of {len(rows)} CD by less than {np.median(moved):.1e} m, {share:.0%} by less than {MAX_MOVED_M} m"
-    sound = spec.scenario.statics is not None or share >= MIN_SHARE - chance
-    yield Check("twice the solver's rate moves", found, bool(sound))
+    sound = spec.scenario.statics is not None or share >= MIN_SHARE - by_chance(MIN_SHARE, len(rows))
+    yield Check("twice the solver's rate moves", found, sound)
 
 
 def moved_by_twice_the_rate(arrays: Arrays, spec: DatasetSpec, rows: list[int], simulator: Simulator) -> list[float]:
