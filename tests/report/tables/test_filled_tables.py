@@ -93,6 +93,16 @@ def test_the_share_of_an_accuracy_grows_with_it() -> None:
     assert shares.loc["CoPhyNet", "3→3"] == "50%"
 
 
+def test_oracles_alone_and_on_fewer_experiments_make_no_shares() -> None:
+    """At the paper's size oracles are asked about 400 test experiments of 4,044; accuracies are means over all."""
+    metric = "sequence_stability_accuracy"
+    oracles = [
+        measured(metric, value, f"oracle_{name}") for name, value in (("feedforward", 0.7), ("counterfactual", 0.9))
+    ]
+    for lines in (oracles, [*oracles, measured(metric, 0.8, "cophynet", num_test=4044)]):
+        assert fill(TABLES["stability"], pd.DataFrame(lines)).shares() is None
+
+
 def test_seeds_are_averaged_and_a_failed_one_is_counted() -> None:
     runs = pd.DataFrame([measured("mse", value, "cophynet", seed=seed) for seed, value in enumerate((0.1, 0.2, 0.3))])
     failed = pd.DataFrame([run("cophynet", seed=3, error="boom"), run("npe", error="boom")])

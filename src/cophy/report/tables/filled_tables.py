@@ -56,9 +56,10 @@ class FilledTable:
     def shares(self) -> pd.DataFrame | None:
         """The share in % of the possible gain, (oracle without AB - ours) / (oracle without AB - oracle with AB).
 
-        None where the oracles were not run, or the table has none.
+        None where it is known of no method: the table has no oracles, or these were not run, or on other experiments.
         """
-        if self.values["share"].isna().all():
+        methods = ~self.values[["row", "column"]].isin(self.table.oracles).any(axis=1)
+        if self.values.loc[methods, "share"].isna().all():
             return None
         texts = pd.Series([_share_text(value) for value in self.values.to_dict("records")])
         rows, columns = (
