@@ -100,6 +100,16 @@ def test_predictions_of_other_experiments_are_named(
     assert "seed0: its predictions are not of the test split of 3-tiny" in caplog.text
 
 
+def test_an_oracle_that_was_asked_about_fewer_is_left_out(
+    arrays: dict[str, np.ndarray], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    line = finished_run({name: array[:8] for name, array in arrays.items()}, tmp_path)
+    assert broken_down([line], arrays).empty
+    assert f"asked about 8 of {SPEC.num_experiments} test experiments" in caplog.text
+    assert "again" not in caplog.text
+
+
 def test_thirds_hold_everything_once_and_keep_equal_numbers_together() -> None:
     value = np.array([3.0, 1.0, 2.0, np.nan, 6.0, 5.0, 4.0, 1.0])
     found = {name: rows for by, name, rows in groups({"displacement": value}) if by == "displacement"}

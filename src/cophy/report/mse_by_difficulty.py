@@ -41,7 +41,7 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
 
     Args:
         runs: Finished predictors (see `read_runs`) that were tested on this part of the dataset. One whose predictions
-            are of something else is left out; the log names it.
+            are of something else, or of a part, is left out; the log names it.
         arrays: The dataset.
         spec: Its description.
         part: The part that is tested on.
@@ -99,13 +99,19 @@ def _thirds(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
 
 
 def _errors(run: dict[Any, Any], truth: Targets, spec: DatasetSpec) -> np.ndarray | None:
-    """(3, experiment) of one run: MSE, and error and size of the twins' difference (see `TwinDifference`). None where its predictions are not of this test split, or not those it was judged by."""
+    """(3, experiment) of one run: MSE, and error and size of the twins' difference (see `TwinDifference`). None where its predictions are not of this whole test split, or not those it was judged by."""
     directory = run["directory"]
     found = read_predictions(directory)
+    asked, all_of_them = len(found["target"]), len(truth.position)
     if spec.id not in run["dataset_ids"] or not (
-        np.array_equal(found["target"], truth.position) and np.array_equal(found["presence"], truth.presence)
+        np.array_equal(found["target"], truth.position[:asked])
+        and np.array_equal(found["presence"], truth.presence[:asked])
     ):
         log.error("%s: its predictions are not of the test split of %s: make that run again", directory, spec.id)
+        return None
+    if asked < all_of_them:  # an oracle, whose groups would hold other experiments than those of the models
+        log.info("%s: not broken down by difficulty, as it was asked about %d of %d test experiments",
+                 directory, asked, all_of_them)  # fmt: skip
         return None
     by_chance = torch.from_numpy(found["draw_variance"]) if "draw_variance" in found else None
     prediction = Prediction(torch.from_numpy(found["position"]), draw_variance=by_chance)
