@@ -1,5 +1,6 @@
 """MSE by difficulty as a page and as figures."""
 
+import textwrap
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -12,6 +13,7 @@ from cophy.report.mse_by_difficulty import ALL, NAMED, SECTION, WORDS
 from cophy.scenario import Scenario
 
 MAX_PANELS_PER_ROW = 4
+PANEL_LETTERS = 42  # that fit beside each other below a panel
 GROUP_WIDTH = 0.6  # of all models of a group together, as a share of the distance between groups
 EXPLANATION = """# MSE by difficulty
 
@@ -78,7 +80,9 @@ def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
         ends = [found["mse"] - found["low"], found["high"] - found["mse"]]
         line = "" if by in NAMED else "-"
         axis.errorbar(at, found["mse"], ends, fmt=f"o{line}", ms=4, lw=1.2, color=colors[name], label=name)
-    axis.set_xticks(range(len(groups)), [group.replace(" ", "\n", 1) for group in groups], fontsize="small")
+    room = PANEL_LETTERS // len(groups)
+    labels = [textwrap.fill(group, room, break_long_words=False) for group in groups]
+    axis.set_xticks(range(len(groups)), labels, fontsize="small")
     axis.set_xlim(-0.5, len(groups) - 0.5)
     axis.set_title(title, fontsize="medium")
     axis.grid(axis="y", alpha=0.2)
