@@ -23,7 +23,7 @@ demo: setup
 
 # run the tests (minutes), or some: just test tests/models
 test *args: setup
-    {{bin}}/pytest -n 2 --dist worksteal {{args}}
+    {{bin}}/pytest -n 2 {{args}}
 
 # run the long tests too; those with a browser need Debian's chromium
 test-slow *args: setup
