@@ -41,3 +41,20 @@ def test_a_ratio_is_of_sums_and_its_interval_covers_it() -> None:
         covered.append(low <= truth <= high)
     assert mean(Ratio(np.array([1.0, 3.0]), np.array([2.0, 8.0]))) == 0.4
     assert 0.89 <= np.mean(covered) <= 0.98
+
+
+def test_columns_weigh_the_same_however_many_experiments_they_have() -> None:
+    """Table 1: of 100 towers half have no top block; the mean is that of the top's mean and the bottom's."""
+    rng = np.random.default_rng(0)
+    bottom, top = rng.normal(1.0, 0.1, 100), np.where(np.arange(100) % 4 < 2, rng.normal(9.0, 3.0, 100), np.nan)
+    both, pairs = np.stack([bottom, top], axis=1), np.arange(100) // 2
+    assert mean(both) == pytest.approx((bottom.mean() + np.nanmean(top)) / 2)
+    ends, ends_of_top = interval(both, pairs), interval(top, pairs)
+    assert ends[0] < mean(both) < ends[1]
+    assert ends[1] - ends[0] == pytest.approx((ends_of_top[1] - ends_of_top[0]) / 2, rel=0.2)
+    assert interval(bottom[:, None], pairs) == pytest.approx(interval(bottom, pairs))
+
+
+def test_a_draw_without_a_rare_column_is_of_the_others() -> None:
+    rare = np.array([[1.0, 5.0], [2.0, np.nan], [3.0, np.nan]])
+    assert all(1.0 <= end <= 5.0 for end in interval(rare, np.arange(3)))

@@ -22,10 +22,14 @@ class Ratio(NamedTuple):
 
 
 def mean(values: np.ndarray | Ratio) -> float:
-    """Mean over the experiments that count, those that are not NaN; or the ratio of two sums."""
+    """Mean over the experiments that count, those that are not NaN; or the ratio of two sums.
+
+    Values of two dimensions (experiment, column) have the mean of their columns' means: every column weighs the same,
+    however many experiments it has.
+    """
     if isinstance(values, Ratio):
         return float(values.numerator.sum() / values.denominator.sum())
-    return float(np.nanmean(values))
+    return float(np.nanmean(values, axis=0).mean())
 
 
 def interval(values: np.ndarray | Ratio, pairs: np.ndarray) -> tuple[float, float]:
@@ -34,21 +38,31 @@ def interval(values: np.ndarray | Ratio, pairs: np.ndarray) -> tuple[float, floa
     Twin pairs are resampled, not values: twins share A, C and the do-operation, and so much of their error.
 
     Args:
-        values: One per experiment; NaN where it does not count.
+        values: One per experiment, or one per experiment and column; NaN where it does not count.
         pairs: (experiment,) the twin pair that it is of.
     """
-    counts = ~np.isnan(values) if isinstance(values, np.ndarray) else np.ones(len(values.numerator), dtype=bool)
-    parts = values if isinstance(values, Ratio) else Ratio(values, np.ones(len(values)))
-    _, group = np.unique(pairs[counts], return_inverse=True)
-    total, size = (np.bincount(group, weights=part[counts]) for part in parts)
-    if len(size) < 2:
+    parts = values if isinstance(values, Ratio) else Ratio(np.nan_to_num(values), ~np.isnan(values))
+    numerator, denominator = (np.reshape(part, (len(pairs), -1)) for part in parts)
+    counts = denominator.any(axis=1) | isinstance(values, Ratio)
+    found, group = np.unique(pairs[counts], return_inverse=True)
+    if len(found) < 2:
         return mean(values), mean(values)
+    total, size = (_sums(part[counts], group) for part in (numerator, denominator))
+
+    def statistic(rows: np.ndarray, axis: int) -> np.ndarray:
+        with np.errstate(invalid="ignore"):  # a draw may have no experiment of a rare column: it is of the others
+            return np.nanmean(total[rows].sum(axis=axis - 1) / size[rows].sum(axis=axis - 1), axis=-1)
+
     result = bootstrap(
-        (np.arange(len(size)),),
-        lambda rows, axis: total[rows].sum(axis=axis) / size[rows].sum(axis=axis),
+        (np.arange(len(found)),),
+        statistic,
         n_resamples=NUM_RESAMPLES,
         batch=MAX_RESAMPLES_AT_ONCE,
         method="percentile",
         rng=np.random.default_rng(0),
     )
     return float(result.confidence_interval.low), float(result.confidence_interval.high)
+
+
+def _sums(columns: np.ndarray, group: np.ndarray) -> np.ndarray:
+    return np.stack([np.bincount(group, weights=column) for column in columns.T], axis=1)

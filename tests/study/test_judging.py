@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from cophy.study.results.answer_file import read_clicks
@@ -62,3 +63,13 @@ def test_practice_and_what_is_missing_are_no_errors(site: Site, tmp_path: Path) 
 def test_other_studies_are_left_out(site: Site, tmp_path: Path) -> None:
     take_one(site.participant())
     assert read_clicks(tmp_path / "answers.sqlite", "another").empty
+
+
+def test_the_mean_is_of_the_ranks_and_sigma_of_the_answers() -> None:
+    """Two answers: 10 and 50 pixels off, and, where the top was removed, 30. So ranks have 20 and 50, answers 30 and 30."""
+    clicks = {"experiment": [0, 0, 2], "rank": [1, 2, 1], "error": [10.0, 50.0, 30.0], "x": 1.0}
+    same = {"kind": "person", "setting": "cf", "practice": 0, "participant": 1}
+    rows = human_rows(pd.DataFrame(clicks | same)).set_index("measure")
+    assert rows["mean"].to_dict() == {"rank_1": 20.0, "rank_2": 50.0, "mean": 35.0}
+    assert rows["sigma"].to_dict() == {"rank_1": 10.0, "rank_2": 0.0, "mean": 0.0}
+    assert rows["answers"].to_dict() == {"rank_1": 2, "rank_2": 1, "mean": 2}

@@ -10,8 +10,8 @@ from cophy.study.answer_store import PERSON
 
 SETTINGS = {"non_cf": "without AB", "cf": "with AB"}
 CAPTION = (
-    "Error of the clicks, pixels of 448 × 448: mean over answers. An answer's error is the mean over its clicked objects; "
-    "1 is the lowest object of C. σ: standard deviation over answers. By people, by pairs: 95 % interval of the mean, "
+    "Error of the clicks, pixels of 448 × 448: mean over answers. 1 is the lowest object of C; the mean is of these columns. "
+    "σ: standard deviation over answers, of their mean error over clicked objects. By people, by pairs: 95 % interval of the mean, "
     "people or twin pairs drawn anew. The models of Table 1 are tested on all pairs."
 )
 
@@ -32,7 +32,7 @@ def of_people(studies: Sequence[StudyAnswers], scenario: str, split: str) -> pd.
     largest = max(rows, key=lambda found: int(found["answers"].sum()), default=pd.DataFrame())
     if largest.empty:
         return pd.DataFrame(columns=["people", "metric", "ours", "sd", "low", "high"])
-    metric = largest["measure"].str.replace("rank", "pixel_error").replace("mean", "pixel_error")
+    metric = largest["measure"].str.replace("rank", "pixel_error").replace("mean", "pixel_error_by_height")
     found = largest.assign(people=largest["setting"], metric=metric, ours=largest["mean"], sd=largest["sigma"])
     return found.assign(low=found["low_people"], high=found["high_people"])[
         ["people", "metric", "ours", "sd", "low", "high", "participants", "answers"]

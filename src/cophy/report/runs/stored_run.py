@@ -21,7 +21,7 @@ POSITIONS = {  # what a predictor sees, and how the report says it
 CHECKPOINTS = ("derenderer", "predictor")  # that were given, each by a hash
 COUNTS = ("num_train", "num_test", "training_seconds", "wall_seconds")
 MAX_BYTES = 1 << 20  # ours: a run's files have some kilobytes
-NEVER_NEGATIVE = ("mse", "final_position_error", "pixel_error")
+NEVER_NEGATIVE = ("mse", "final_position_error", "pixel_error", "pixel_error_by_height")
 
 
 def read_line(path: Path) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from cophy.bootstrap import interval
+from cophy.bootstrap import interval, mean
 from cophy.errors import CophyError
 from cophy.study.scenes import Scenes
 
@@ -39,24 +39,26 @@ def human_rows(judged: pd.DataFrame) -> pd.DataFrame:
     """One line per kind of participant, setting and measure; practice does not count.
 
     Columns: kind, setting, measure, mean, sigma, low_people, high_people, low_pairs, high_pairs, participants, answers,
-    missing. The measure rank_1 is the error on the lowest object of C, rank_2 on the next. The measure mean is the mean error
-    of an answer over the objects that were clicked. Mean and sigma (standard deviation) are over answers, in pixels. The
-    95 % intervals of the mean draw participants anew, or twin pairs. missing is the share of objects that were not clicked.
+    missing. The measure rank_1 is the error on the lowest object of C, rank_2 on the next: the mean over answers. The measure
+    mean is the mean of these, as in the paper's Table 1. Sigma is the standard deviation over answers; for the measure mean,
+    of an answer's mean error over its clicked objects. All are in pixels. The 95 % intervals of the mean draw participants
+    anew, or twin pairs. missing is the share of objects that were not clicked.
     """
     lines = []
     for (kind, setting), found in judged[judged["practice"] == 0].groupby(["kind", "setting"]):
         measures = {f"rank_{rank}": objects for rank, objects in found.groupby("rank")} | {"mean": found}
         for measure, objects in measures.items():
-            answers = objects.groupby(["participant", "experiment"], as_index=False)["error"].mean()
-            error = answers["error"].to_numpy(float)
-            if not np.isfinite(error).any():
+            by_rank = objects.groupby(["participant", "experiment", "rank"])["error"].mean().unstack("rank")
+            errors = by_rank.dropna(axis=1, how="all")
+            if errors.empty:
                 continue
-            low_people, high_people = interval(error, answers["participant"].to_numpy())
-            low_pairs, high_pairs = interval(error, answers["experiment"].to_numpy() // 2)
+            answers = errors.index.to_frame()
+            low_people, high_people = interval(errors.to_numpy(), answers["participant"].to_numpy())
+            low_pairs, high_pairs = interval(errors.to_numpy(), answers["experiment"].to_numpy() // 2)
             lines.append(
                 {
                     **{"kind": kind, "setting": setting, "measure": measure},
-                    **{"mean": np.nanmean(error), "sigma": np.nanstd(error)},
+                    **{"mean": mean(errors.to_numpy()), "sigma": errors.mean(axis=1).std(ddof=0)},
                     **{"low_people": low_people, "high_people": high_people},
                     **{"low_pairs": low_pairs, "high_pairs": high_pairs},
                     **{"participants": answers["participant"].nunique(), "answers": len(answers)},

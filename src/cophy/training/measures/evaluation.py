@@ -21,7 +21,8 @@ def evaluate(prediction: Prediction, targets: Targets, scenario: Scenario) -> di
 
     Returns:
         Name of a measure to its (experiment,) values; NaN where an experiment does not count. The measures of twins are
-        there where the data have twins.
+        there where the data have twins. `pixel_error_by_height` (experiment, height) is there where errors are given by
+        height: its mean is that of the heights' means, as in the paper's Table 1.
 
     Raises:
         CophyError: A prediction is not finite; it must not drop out of a mean.
@@ -36,6 +37,8 @@ def evaluate(prediction: Prediction, targets: Targets, scenario: Scenario) -> di
     values: dict[str, np.ndarray | Ratio] = {
         name: measure(prediction, targets).double().numpy() for name, measure in measures.items()
     }
+    if at_heights := [value for name, value in values.items() if name.startswith("pixel_error_")]:
+        values["pixel_error_by_height"] = np.stack(at_heights, axis=1)
     return values | _of_twins(prediction, targets, scenario.task.metric_dims)
 
 
