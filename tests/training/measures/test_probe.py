@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from cophy.training.measures.probe import Probed, probe
+from cophy.training.measures.probe import Probed, probe, warn_if_constant
 from cophy.types import Targets
 
 
@@ -46,3 +46,13 @@ def test_the_probe_of_a_constant_is_right() -> None:
     values = probe(constant(labelled(200, 0)), constant(labelled(200, 1)))
     assert values["probe_friction_accuracy"].mean() == 1.0
     assert values["probe_mass_accuracy"].mean() == 1.0
+
+
+def test_an_estimate_that_is_the_same_for_all_objects_is_a_failed_training(caplog: pytest.LogCaptureFixture) -> None:
+    probed = labelled(20, 0)
+    warn_if_constant(probed)
+    assert caplog.messages == []
+    same = torch.where(probed.targets.presence[..., None], torch.tensor([1.0, -0.2, 0.0, 0.7]), 1e6)
+    warn_if_constant(probed._replace(estimate=same + 1e-6 * torch.rand_like(same)))
+    (message,) = caplog.messages
+    assert "training.learning_rate" in message

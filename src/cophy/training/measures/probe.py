@@ -1,5 +1,6 @@
 """The confounder probe: what U says about mass and friction, by linear classifiers on it (paper Table 5)."""
 
+import logging
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,10 @@ from torch import Tensor, nn
 from cophy.training.measures.metrics import over_objects
 from cophy.types import Inputs, Targets, moved, take
 
+log = logging.getLogger(__name__)
+
 MAX_VALUES = 1000  # more than any grid has of friction
+SAME = 1e-4  # ours: U spreads by 0.15 and more over blocks, and by 6e-9 where its GRU is saturated
 
 
 class Probed(NamedTuple):
@@ -40,6 +44,19 @@ def estimate(network: nn.Module, inputs: Inputs, *, batch_size: int) -> Float[Te
                 return None
             parts.append(part.confounder_estimate)
     return torch.cat(parts)
+
+
+def warn_if_constant(probed: Probed) -> None:
+    """Say that a training failed: U is the same for all objects, so nothing of AB reaches the prediction.
+
+    It happens where the features that go into the GRU over AB grow until it is saturated; gradients vanish then.
+    """
+    estimates = probed.estimate[probed.targets.observed_presence]
+    if len(estimates) > 1 and estimates.std(dim=0).max() < SAME:
+        log.warning(
+            "the estimate U is the same for all objects, so D is predicted without AB: this training failed. Lower "
+            "training.learning_rate, or try another seed; val/twin_difference_explained above 0 shows that AB is read"
+        )
 
 
 def probe(train: Probed, test: Probed) -> dict[str, np.ndarray]:

@@ -15,7 +15,7 @@ from cophy.training.callbacks.prediction_figures import PredictionFigures
 from cophy.training.derendering_module import DerenderingModule
 from cophy.training.measures.copies import mse_of_copies
 from cophy.training.measures.evaluation import evaluate
-from cophy.training.measures.probe import Probed, estimate, probe
+from cophy.training.measures.probe import Probed, estimate, probe, warn_if_constant
 from cophy.training.prediction_module import PredictionModule
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import Measured, write_predictions
@@ -86,11 +86,14 @@ def prediction_stage(
     def measure() -> Measured:
         prediction, batch = module.tested
         values = evaluate(prediction, batch.targets, scenario)
-        if prediction.confounder_estimate is not None and data.knows_confounders and not data.estimated:
-            train = data.train.batch
-            fitted = estimate(network, train.inputs, batch_size=training.batch_size)
-            assert fitted is not None
-            values |= probe(Probed(fitted, train.targets), Probed(prediction.confounder_estimate, batch.targets))
+        if prediction.confounder_estimate is not None:
+            tested = Probed(prediction.confounder_estimate, batch.targets)
+            warn_if_constant(tested)
+            if data.knows_confounders and not data.estimated:
+                train = data.train.batch
+                fitted = estimate(network, train.inputs, batch_size=training.batch_size)
+                assert fitted is not None
+                values |= probe(Probed(fitted, train.targets), tested)
         write_predictions(run.directory, prediction, batch.targets)
         copies = mse_of_copies(data.test.batch, scenario, data.mean_position)
         return Measured(values, batch.targets.pair.numpy(), copies)
