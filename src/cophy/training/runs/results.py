@@ -34,7 +34,7 @@ class Measured:
     """What a test measured.
 
     Attributes:
-        values: Each measure, one value per test item.
+        values: Each measure, one value per test item, or one per item and column (`cophy.bootstrap.mean`).
         pairs: (item,) the twin pair that it is of.
         copies: MSE of each copy on the same test split; none where no D is predicted.
     """
