@@ -9,7 +9,7 @@ from tests.commands import run
 REFUSED = [  # what is said, and what has to be in the answer
     ("seed=99999999999", "seed=99999999999 must be at most"),
     ("threads=1000000", "threads=1000000 must be at most"),
-    ("model.hidden_dim=100000000", "model: there is no memory"),
+    ("model.hidden_dim=10000000000", "model: there is no memory"),
     ("training.learning_rate=nan", "training.learning_rate=nan must be a finite number"),
     ("trainer.gradient_clip_val=nan", "trainer.gradient_clip_val=nan must be a finite number"),
     ("trainer.accelerator=foo", "trainer: You selected an invalid accelerator name"),

@@ -16,7 +16,11 @@ def left(outputs: Path) -> tuple[dict, dict[str, np.ndarray]]:
         return json.loads(metrics.read_text()), dict(file)
 
 
-@pytest.mark.parametrize("size", ["", "size.num_experiments.collision.2=50"], ids=["even", "uneven"])
+@pytest.mark.parametrize(
+    "size",
+    [pytest.param("", marks=pytest.mark.slow), "size.num_experiments.collision.2=50"],
+    ids=["even", "uneven"],
+)
 def test_two_processes_leave_what_one_does(tiny_data: Path, tmp_path: Path, size: str) -> None:
     keys = ("scenario=collision", "model=in", "trainer.max_epochs=2", *([size] if size else []))
     said = train(*keys, *ON_TWO, f"source.outputs={tmp_path / 'two'}", data=tiny_data, apart=True)

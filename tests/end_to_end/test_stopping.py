@@ -39,7 +39,7 @@ def stopped(directory: Path, data: Path, how: signal.Signals, *devices: str) -> 
 
 @pytest.mark.parametrize(
     "keys",
-    [(), ("optimizer=soap",), pytest.param(ON_TWO, marks=pytest.mark.slow)],
+    [(), pytest.param(("optimizer=soap",), marks=pytest.mark.slow), pytest.param(ON_TWO, marks=pytest.mark.slow)],
     ids=["one device", "SOAP", "two devices"],
 )
 def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(
