@@ -105,10 +105,6 @@ def attack(whole: Path, world: Path, draw: Any) -> None:
     assert not lost or fault.__name__ == "swap", lost
 
 
-def test_a_wrong_file_is_named_or_does_no_harm(worlds: list[Path], tmp_path: Path) -> None:
-    often(10, lambda draw: attack(worlds[-1], tmp_path / "world", draw))
-
-
 @pytest.mark.slow
 def test_many_wrong_files_are_named_or_do_no_harm(worlds: list[Path], tmp_path: Path, attacks: int) -> None:
     often(40 * attacks, lambda draw: attack(worlds[-1], tmp_path / "world", draw))

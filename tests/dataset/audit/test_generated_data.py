@@ -1,6 +1,7 @@
 """The audit passes what is sound, and goes on after what is not."""
 
 import numpy as np
+import pytest
 
 from cophy.dataset.audit import audit_generated
 from tests.dataset.audit.failing import failing
@@ -11,6 +12,10 @@ def test_a_sound_dataset_passes(tiny) -> None:
     assert not failing(audit_generated(arrays, spec, replayed_pairs=1))
 
 
+# of towers a pair takes 900 simulations under other confounders
+@pytest.mark.parametrize(
+    "tiny", [pytest.param("blocktower", marks=pytest.mark.slow), "balls", "collision"], indirect=True
+)
 def test_a_state_that_is_no_number_is_caught_and_stops_no_check(tiny) -> None:
     spec, arrays = tiny
     changed = arrays["states"].copy()
