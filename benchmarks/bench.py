@@ -10,7 +10,6 @@ import sys
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
-import compare_checkouts
 import hotspots
 import paper_size
 import speed_generation
@@ -18,6 +17,7 @@ import speed_loading
 import speed_startup
 import speed_training
 import torch
+from checkouts import compare_checkouts
 from measure import ROOT, Measured
 from rich.console import Console
 from rich.table import Table

@@ -1,4 +1,4 @@
-"""Times training steps of a checkout: python benchmarks/checkout_steps.py CHECKOUT, which compare_checkouts.py starts.
+"""Times training steps of a checkout, as compare_checkouts.py asks: python benchmarks/checkouts/checkout_steps.py CHECKOUT.
 
 It says `ready`. Then a line `slots objects batch_size steps` on stdin asks for so many training steps, and a line on stdout
 tells their CPU-seconds.
