@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from physics import scenario as configured
 from rich.console import Console
 from rich.table import Table
 
+from cophy.app.composition import settings
 from cophy.app.schemas.registration import register
 from cophy.dataset.audit.bias.classifiers import ask_classifier
 from cophy.dataset.audit.bias.visible_features import initial_scene
@@ -45,7 +45,7 @@ class Planted(NamedTuple):
 def main(data_dir: Path) -> None:
     """Measure, then print."""
     register()
-    spec = DatasetSpec(configured("blocktower"), NUM_OBJECTS, SIZE, 0)
+    spec = DatasetSpec(settings("generate", "scenario=blocktower").scenario, NUM_OBJECTS, SIZE, 0)
     arrays = States(spec, data_dir).load()
     scene, twin = initial_scene(arrays, NUM_OBJECTS), arrays["twin"]
     table = Table("planted", "right", "best possible")
