@@ -3,10 +3,14 @@
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+import pytest
 from matplotlib.figure import Figure
 
-from cophy.report.figures import draw_bars, write_figure
+from cophy.app.composition import settings
+from cophy.report import figures
+from cophy.report.figures import draw_bars, of_predictions, write_figure
 from cophy.report.tables.filled_tables import fill
 from cophy.report.tables.paper_tables import paper_tables
 from tests.report.lines import measured
@@ -44,3 +48,32 @@ def test_a_figure_is_a_png_and_the_same_pdf_each_time(tmp_path: Path) -> None:
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "a.pdf").read_bytes()[:5] == b"%PDF-"
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
+
+
+def test_curves_are_of_the_largest_size_and_the_longest_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = {"small": 1.0, "short": 0.2, "long": 0.0, "oracle": 0.5}
+    runs = pd.DataFrame([
+        measured("mse", 1.0, "cophynet", directory="small", num_train=70),
+        measured("mse", 0.2, "cophynet", directory="short", size="paper", num_train=700),
+        measured("mse", 0.0, "cophynet", directory="long", size="paper", num_train=700, epochs=120),
+        measured("mse", 0.5, "oracle_feedforward", directory="oracle", size="paper", num_train=700, num_test=100),
+    ])  # fmt: skip
+
+    def predictions(directory: str) -> dict[str, np.ndarray]:
+        target, present = np.zeros((2, 3, 4, 3)), np.ones((2, 4), dtype=bool)
+        position = target + np.sqrt(errors[directory])
+        return {
+            "initial": target[:, 0],
+            "position": position,
+            "target": target,
+            "presence": present,
+            "pair": np.arange(2),
+        }
+
+    curves: dict[str, np.ndarray] = {}
+    monkeypatch.setattr(figures, "read_predictions", predictions)
+    monkeypatch.setattr(figures, "draw_error_over_time", lambda found, **options: curves.update(found) or Figure())
+    drawn = [name for name, _ in of_predictions(runs, {"blocktower": settings("train").scenario})]
+    assert drawn[-1] == "error_over_time-blocktower-3to3"
+    assert list(curves) == ["cophynet", "oracle_feedforward (first 100)"]
+    assert [curve.max() for curve in curves.values()] == pytest.approx([0.0, np.sqrt(1.5)])  # of three coordinates

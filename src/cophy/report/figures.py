@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from cophy.atomic_files import write_atomically
 from cophy.drawing.plots import draw_error_over_time, draw_trajectories, error_over_time
 from cophy.report.colors import BLUE, GREY, RED
+from cophy.report.runs.comparable import of_largest_size, of_seeds
 from cophy.report.tables.filled_tables import FilledTable
 from cophy.scenario import Scenario
 from cophy.training.runs.results import read_predictions
@@ -37,18 +38,25 @@ def write_figure(directory: Path, name: str, figure: Figure) -> None:
 
 
 def of_predictions(runs: pd.DataFrame, scenarios: Mapping[str, Scenario]) -> Iterator[tuple[str, Figure]]:
-    """Per scenario and split: the trajectories that each model predicts, and every model's error over time."""
+    """Per scenario and split: the trajectories that each model predicts, and every model's error over time.
+
+    Of the largest size alone. Of a row, those of `of_seeds` count. Rows that were asked about fewer experiments say so.
+    """
     predicted = runs[~runs["model"].str.startswith("derenderer")]
-    for keys, found in predicted.groupby(["scenario", "split", "positions"]):
+    for keys, tested in predicted.groupby(["scenario", "split", "positions"]):
+        found = of_largest_size(tested)
+        most = found["num_test"].max()
         name, split, positions = (str(key) for key in keys)
         scenario, curves = scenarios[name], {}
         group = f"{name}-{split}" if positions == "ground_truth" else f"{name}-{split}-{positions}"
         title = group.replace("-", ", ").replace("_", " ") + ", test split"
-        for (model, ablation), seeds in found.groupby(["model", "ablation"]):
+        for (model, ablation), of_row in found.groupby(["model", "ablation"]):
+            seeds = of_seeds(of_row)
             each = [read_predictions(directory) for directory in seeds["directory"]]
             dims, row = scenario.task.metric_dims, row_name(str(model), str(ablation))
             errors = [error_over_time(p["position"], p["target"], p["presence"], dims=dims) for p in each]
-            curves[row] = np.mean(errors, axis=0)
+            asked = seeds["num_test"].min()
+            curves[row if asked == most else f"{row} (first {asked:.0f})"] = np.mean(errors, axis=0)
             seed = seeds["seed"].iloc[0]
             yield (
                 f"trajectories-{group}-{row.replace(' ', '-')}",

@@ -14,6 +14,7 @@ from cophy.dataset.feed.batches import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
 from cophy.report.figures import row_name
+from cophy.report.runs.comparable import of_seeds
 from cophy.training.measures.metrics import mean_squared_error
 from cophy.training.measures.twin_metrics import twin_difference
 from cophy.training.runs.results import read_predictions
@@ -41,7 +42,7 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
 
     Args:
         runs: Finished predictors (see `read_runs`) that were tested on this part of the dataset. One whose predictions
-            are of something else, or of a part, is left out; the log names it.
+            are of something else, or of a part, is left out; the log names it. Of a row, those of `of_seeds` count.
         arrays: The dataset.
         spec: Its description.
         part: The part that is tested on.
@@ -57,7 +58,7 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
     told = difficulty(arrays, spec)
     values = {name: told[name][tested] for name in WORDS if name in told}
     for keys, found in runs.groupby([*SECTION, "model", "ablation"]):
-        each = [error for run in found.to_dict("records") if (error := _errors(run, truth, spec)) is not None]
+        each = [error for run in of_seeds(found).to_dict("records") if (error := _errors(run, truth, spec)) is not None]
         if not each:
             continue
         names = [str(key) for key in keys]

@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 OVERVIEW = "MSE of the test split, m² (epochs of training, where there was any, × seeds)."
 MOST_FAILURES = 5  # that are told; runs.csv has all
-SHOWN = ("run", "seeds", "training (s)", "mse", "final position error")  # of the summary, in the terminal
+SHOWN = ("run", "seeds", "epochs", "training (s)", "mse", "final position error")  # of the summary, in the terminal
 
 
 def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins: bool, show_all: bool) -> None:

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import torch
 
+from cophy.report.runs.comparable import of_largest_size, of_seeds
 from cophy.report.runs.run_table import read_runs, summary
 from cophy.report.runs.stored_run import MAX_BYTES
 from cophy.training.runs.results import write_predictions
@@ -27,6 +28,27 @@ def test_the_summary_tells_the_cost() -> None:
     )
     assert summary(runs).iloc[1]["seeds"] == "0 (1 failed)"
     assert summary(pd.DataFrame()).empty
+
+
+def test_the_summary_averages_seeds_alone() -> None:
+    seeds = [measured("mse", value, "cophynet", seed=seed) for seed, value in enumerate((0.2, 0.3))]
+    longer = [measured("mse", 0.1, "cophynet", epochs=120)]
+    lines = summary(pd.DataFrame(seeds + longer)).set_index("epochs")
+    assert lines["mse"].to_dict() == {"40": "0.250 ± 0.071", "120": "0.100"}
+    assert lines["seeds"].to_dict() == {"40": "2", "120": "1"}
+
+
+def test_runs_that_differ_in_their_seed_alone_may_be_averaged() -> None:
+    seen = [
+        measured("mse", 0.2, "cophynet", seed=seed, derenderer=name) for seed, name in ((0, "b"), (1, "a"), (2, "a"))
+    ]
+    assert of_seeds(pd.DataFrame(seen))["seed"].tolist() == [1, 2]
+    both = pd.DataFrame([*seen, measured("mse", 0.1, "cophynet", seed=5, epochs=120, derenderer="b")])
+    assert of_seeds(both)["seed"].tolist() == [5]
+    sizes = pd.DataFrame(
+        [measured("mse", 0.2, "in", size=name, num_train=n) for name, n in (("paper", 900), ("12k", 400))]
+    )
+    assert of_largest_size(sizes)["size"].tolist() == ["paper"]
 
 
 PLACE = Path("blocktower/3to3/cophynet/full/ground_truth/seed0")

@@ -70,7 +70,7 @@ def test_the_interval_of_a_share_is_paired_over_twin_pairs() -> None:
     models = {"oracle_feedforward": 0.3, "oracle_counterfactual": 0.1, "cophynet": 0.15}
 
     def errors_of(run: dict) -> Errors:
-        return Errors(models[run["model"]] * hard + rng.normal(0.0, 0.002, 400), pair)
+        return Errors(models[run["model"]] * hard + rng.normal(0.0, 0.002, 400), pair, pair)
 
     runs = pd.DataFrame([measured("mse", mse, model) for model, mse in models.items()])
     filled = fill(TABLES["blocktower"], runs, errors_of)
@@ -86,7 +86,7 @@ def test_the_share_of_an_accuracy_grows_with_it() -> None:
     metric = "sequence_stability_accuracy"
     models = {"oracle_feedforward": 0.7, "oracle_counterfactual": 0.9, "cophynet": 0.8}
     runs = pd.DataFrame([measured(metric, value, model) for model, value in models.items()]).assign(mse=0.1)
-    errors = Errors(np.full(4, 0.1), np.arange(4) // 2)  # intervals are of the MSE, not of an accuracy
+    errors = Errors(np.full(4, 0.1), np.arange(4) // 2, np.arange(4))  # intervals are of the MSE, not of an accuracy
     filled = fill(TABLES["stability"], runs, lambda run: errors)
     shares = filled.shares()
     assert shares is not None

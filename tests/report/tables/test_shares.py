@@ -31,12 +31,16 @@ def test_a_share_is_of_the_experiments_that_all_were_tested_on() -> None:
     pairs = np.arange(40) // 2
     ours, without, with_ab = (pd.DataFrame([{"run": name}]) for name in ("ours", "without", "with_ab"))
     errors = {
-        "ours": Errors(np.where(pairs < 10, 2.0, 100.0), pairs),
-        "without": Errors(np.full(20, 5.0), pairs[:20]),
-        "with_ab": Errors(np.full(20, 1.0), pairs[:20]),
+        "ours": Errors(np.where(pairs < 10, 2.0, 100.0), pairs, pairs),
+        "without": Errors(np.full(20, 5.0), pairs[:20], pairs[:20]),
+        "with_ab": Errors(np.full(20, 1.0), pairs[:20], pairs[:20]),
     }
     share = share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]])
     assert share == pytest.approx((0.75, 0.75, 0.75))
-    errors["with_ab"] = Errors(np.full(20, 1.0), pairs[2:22])
+    errors["with_ab"] = Errors(np.full(20, 1.0), pairs[2:22], pairs[2:22])
+    assert np.isnan(share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]]).value)
+    errors["with_ab"] = Errors(
+        np.full(20, 1.0), pairs[:20], pairs[:20] + 0.5
+    )  # pairs of other data have the same numbers
     assert np.isnan(share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]]).value)
     assert np.isnan(share_of_gain(ours.iloc[:0], without, with_ab, lambda run: errors[run["run"]]).value)

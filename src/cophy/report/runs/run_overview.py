@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import pandas as pd
 
 from cophy.report.figures import in_order, row_name
+from cophy.report.runs.comparable import of_seeds
 from cophy.report.runs.stored_run import POSITIONS
 
 MISSING = "—"
@@ -43,6 +44,5 @@ def _text(runs: pd.DataFrame) -> str:
         return failed
     lengths = sorted(finished.loc[finished["is_trained"].astype(bool), "epochs"].astype(int).unique())
     epochs = ", ".join(map(str, lengths))
-    longest = finished[finished["epochs"] == finished["epochs"].max()]
-    text = f"{longest['mse'].mean():.3f} ({epochs} × {len(finished)})".replace("( ", "(")
+    text = f"{of_seeds(finished)['mse'].mean():.3f} ({epochs} × {len(finished)})".replace("( ", "(")
     return text if len(finished) == len(runs) else f"{text}, {failed}"

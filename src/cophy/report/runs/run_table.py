@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -18,6 +19,8 @@ from cophy.training.runs.identity import FAILURE, METRICS, differences, plain_va
 log = logging.getLogger(__name__)
 
 MOST_REFUSED = 3  # that are named
+MISSING = "—"
+CHOICE = ["scenario", "split", "model", "ablation", "positions", "size"]
 IN_CAPTIONS = "trainer.max_epochs"  # may differ, as sizes may: each table says how long was trained
 
 
@@ -78,20 +81,29 @@ def metrics_of(runs: pd.DataFrame) -> list[str]:
 
 
 def summary(runs: pd.DataFrame) -> pd.DataFrame:
-    """All runs: cost and test metrics, as means over seeds, ± standard deviation where there are several."""
+    """All runs: cost and test metrics, as means over seeds, ± standard deviation where there are several.
+
+    Trainings of other lengths, or of other de-renderers, have lines of their own.
+    """
     if runs.empty:
         return runs
-    rows = []
-    for choice, found in runs.groupby(["scenario", "split", "model", "ablation", "positions", "size"]):
+    rows, apart = [], [name for name in ("epochs", "derenderer") if name in runs]
+    for keys, found in runs.assign(**{name: runs[name].map(_name) for name in apart}).groupby([*CHOICE, *apart]):
+        choice, others = keys[: len(CHOICE)], keys[len(CHOICE) :]
         line = {"run": " ".join(str(name) for name in choice), "seeds": _seeds(found)}
+        line |= dict(zip(apart, map(str, others), strict=True))
         if "training_seconds" in found and found["training_seconds"].notna().any():
             trained_before = found["predictor"].notna()
             line["training (s)"] = (
-                "—" if trained_before.all() else f"{found.loc[~trained_before, 'training_seconds'].mean():.0f}"
+                MISSING if trained_before.all() else f"{found.loc[~trained_before, 'training_seconds'].mean():.0f}"
             )
         line |= {metric.replace("_", " "): _show(found[metric].dropna()) for metric in metrics_of(found)}
         rows.append(line)
-    return pd.DataFrame(rows).fillna("—")
+    return pd.DataFrame(rows).fillna(MISSING)
+
+
+def _name(value: str | float | None) -> str:
+    return value if isinstance(value, str) else MISSING if value is None or np.isnan(value) else f"{value:.0f}"
 
 
 def _seeds(found: pd.DataFrame) -> str:
@@ -101,7 +113,7 @@ def _seeds(found: pd.DataFrame) -> str:
 
 def _show(values: "pd.Series[float]") -> str:
     if values.empty:
-        return "—"
+        return MISSING
     return f"{values.mean():.3f}" if len(values) == 1 else f"{values.mean():.3f} ± {values.std():.3f}"
 
 

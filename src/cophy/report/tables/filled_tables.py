@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from cophy.report.runs.comparable import of_seeds
 from cophy.report.tables.captions import caption
 from cophy.report.tables.paper_tables import PaperTable
 from cophy.report.tables.shares import UNKNOWN, ErrorsOf, Share, share_of_gain
@@ -180,7 +181,7 @@ def _cell(runs: pd.DataFrame, choice: Choice, scale: float) -> tuple[dict[str, A
     found = found[found[metric].notna()] if metric in found else found.iloc[:0]
     if found.empty:
         return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": failed}, found
-    found = found[found["epochs"] == found["epochs"].max()]  # a cell averages runs of one length: the longest
+    found = of_seeds(found)
     low, high = found[f"{metric}_low"].mean(), found[f"{metric}_high"].mean()
     numbers = zip(NUMBERS, (found[metric].mean(), found[metric].std(), low, high), strict=True)
     return {**{name: scale * value for name, value in numbers}, "seeds": len(found), "failed": failed}, found

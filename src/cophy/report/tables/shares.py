@@ -18,10 +18,12 @@ class Errors(NamedTuple):
     Attributes:
         mse: (experiment,) mean squared error, m².
         pair: (experiment,) the twin pair that it is of.
+        truth: (experiment,) sum of the true coordinates, metres: other data have others.
     """
 
     mse: np.ndarray
     pair: np.ndarray
+    truth: np.ndarray
 
 
 ErrorsOf = Callable[[dict[Any, Any]], Errors]  # from a run's line (`read_runs`)
@@ -37,7 +39,8 @@ def _stored_errors(directory: Path, dims: int) -> Errors:
     found = read_predictions(directory)
     error = np.square(found["position"] - found["target"]) - found.get("draw_variance", 0.0)
     squared, present = error[..., :dims].mean(axis=(1, 3), dtype=np.float64), found["presence"]
-    return Errors(np.where(present, squared, 0.0).sum(axis=1) / present.sum(axis=1), found["pair"])
+    truth = found["target"].sum(axis=(1, 2, 3), dtype=np.float64)
+    return Errors(np.where(present, squared, 0.0).sum(axis=1) / present.sum(axis=1), found["pair"], truth)
 
 
 class Share(NamedTuple):
@@ -75,7 +78,8 @@ def share_of_gain(ours: pd.DataFrame, without: pd.DataFrame, with_ab: pd.DataFra
     if not all(parts):
         return UNKNOWN
     asked = min(len(each.pair) for part in parts for each in part)
-    if len({each.pair[:asked].tobytes() for part in parts for each in part}) > 1:
+    tested = {(each.pair[:asked].tobytes(), each.truth[:asked].tobytes()) for part in parts for each in part}
+    if len(tested) > 1:
         return UNKNOWN
     of_ours, of_without, of_with = (np.mean([each.mse[:asked] for each in part], axis=0) for part in parts)
     gained, possible = of_without - of_ours, of_without - of_with

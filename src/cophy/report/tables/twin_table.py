@@ -3,6 +3,7 @@
 import pandas as pd
 
 from cophy.report.figures import in_order, row_name
+from cophy.report.runs.comparable import of_seeds
 
 MISSING = "—"
 MEASURES = {
@@ -49,7 +50,7 @@ def _column(run: "pd.Series[str]") -> str:
 
 
 def _table(runs: pd.DataFrame, measure: str) -> pd.DataFrame:
-    texts = {keys: _text(found, measure) for keys, found in runs.groupby(["row", "column"])}
+    texts = {keys: _text(of_seeds(found), measure) for keys, found in runs.groupby(["row", "column"])}
     wide = pd.Series(texts).unstack().fillna(MISSING)
     return wide.loc[in_order(wide.index)]
 
