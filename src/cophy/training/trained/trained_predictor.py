@@ -21,11 +21,17 @@ ALLOWED = "cophy.models."  # whose classes a checkpoint may name: importing any 
 
 
 class TrainedPredictor:
-    """The network of a checkpoint, in evaluation mode, and the scenario that it was trained on.
+    """The network of a checkpoint, in evaluation mode, and the data that it was trained on.
 
     Args:
         source: The checkpoint.
         scenarios: The classes of scenarios by name.
+
+    Attributes:
+        scenario: Of the data.
+        size: Its name. Most test experiments of one size are training experiments of another.
+        data_seed: Likewise of another seed.
+        network: From `Inputs` to `Prediction`.
     """
 
     def __init__(self, source: Path, scenarios: Mapping[str, type[Scenario]]) -> None:
@@ -42,6 +48,7 @@ class TrainedPredictor:
         if declared.not_derendered:
             raise CophyError(f"predictor={source} has {declared.not_derendered}, which no de-renderer estimates")
         self.scenario = _scenario(checkpoint.origin.scenario, scenarios, source)
+        self.size, self.data_seed = str(checkpoint.origin.size.get("name")), checkpoint.origin.data_seed
         self.network = build_network(model).eval()
         try:
             self.network.load_state_dict(checkpoint.weights)
