@@ -176,7 +176,7 @@ MISTAKES = {
     f"ckpt={ROOT}/README.md": "is no checkpoint of train.py, or a damaged one",
     "predictor=nowhere.ckpt": "predictor=nowhere.ckpt is no file: a run keeps best.ckpt",
     f"predictor={ROOT}/README.md": "is no checkpoint of train.py, or a damaged one",
-    f"predictor={ROOT}/checkpoints/balls_4to4_in.ckpt": "is of another training (data=['4-paper-",
+    f"predictor={ROOT}/checkpoints/balls_4to4_in.ckpt": "is of another training (scenario=balls, size=paper, ",
     "predictor=a.ckpt ckpt=b.ckpt": "give one of them",
     "predictor=a.ckpt model=oracle_feedforward": "predictor=a.ckpt: oracle_feedforward has nothing to train",
     "predictor=a.ckpt model=derenderer": "predictor=a.ckpt: derenderer predicts nothing",

@@ -1,6 +1,7 @@
 """How every network is optimised: by what `optimizer=` and `schedule=` choose (conf/optimizer, conf/schedule)."""
 
 import math
+from typing import Any
 
 import lightning as L
 from hydra.errors import InstantiationException
@@ -28,9 +29,19 @@ def optimisation(module: L.LightningModule, training: Training) -> OptimizerLRSc
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
 
 
+class Annealing(LambdaLR):
+    """Its rate follows its own schedule also where a longer training goes on from a checkpoint of a shorter one."""
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on at an epoch. The optimiser's rate, of the shorter training, is replaced by that of this one."""
+        super().load_state_dict(state_dict)
+        for group, rate, factor in zip(self.optimizer.param_groups, self.base_lrs, self.lr_lambdas, strict=True):
+            group["lr"] = rate * factor(self.last_epoch)
+
+
 def cosine_to_zero(optimizer: Optimizer, epochs: int) -> LambdaLR:
     """Falls to zero along a cosine. A longer training may go on from a checkpoint of a shorter one."""
-    return LambdaLR(optimizer, lambda epoch: (1 + math.cos(math.pi * min(epoch / epochs, 1))) / 2)
+    return Annealing(optimizer, lambda epoch: (1 + math.cos(math.pi * min(epoch / epochs, 1))) / 2)
 
 
 def constant(optimizer: Optimizer, epochs: int) -> LambdaLR:

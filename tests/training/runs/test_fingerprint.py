@@ -11,6 +11,7 @@ from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModul
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.store.states import States
 from cophy.models.baselines import CopyC
+from cophy.training.runs import reuse
 from cophy.training.runs.reuse import fingerprint
 from cophy.training.runs.trainer import with_epochs
 from cophy.training.trained.checkpoints import Origin
@@ -38,6 +39,14 @@ def test_what_changes_weights_counts() -> None:
         fingerprint_of(max_epochs=1),
     ]
     assert len({fingerprint_of(), *others}) == 6
+
+
+def test_code_is_that_which_the_command_began_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = fingerprint_of()
+    monkeypatch.setattr(Path, "read_bytes", lambda self: b"edited meanwhile")
+    assert fingerprint_of() == before
+    monkeypatch.setitem(reuse._CODE, next(iter(reuse._CODE)), b"other code")
+    assert fingerprint_of() != before
 
 
 def test_twice_the_epochs_are_another_training() -> None:

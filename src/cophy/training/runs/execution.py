@@ -111,18 +111,18 @@ def carry_out(claim: Claim, stage: Stage, plan: Plan, origin: Origin) -> dict[st
             return {}
         if not devices.is_first():
             return trained.validation
+        measured = stage.measure()
         about = {
             "dataset_ids": stage.data.dataset_ids,
             "derenderer": stage.derenderer,
             "predictor": None if plan.predictor is None else sha256(plan.predictor)[:8],
             "num_train": len(stage.data.train),
-            "num_test": len(stage.data.test),
+            "num_test": len(measured.pairs),
             "max_epochs": plan.trainer["max_epochs"],
             "training_seconds": trained.seconds,
             "resumed": trained.resumed,
             "validation": trained.validation,
         }
-        measured = stage.measure()
         metrics = write_metrics(run, measured, about | {"wall_seconds": round(time.monotonic() - plan.started, 1)})
         log_results(trainer.loggers, metrics, trainer.global_step)
         return trained.validation

@@ -30,11 +30,22 @@ CHECKPOINTS = ("best.ckpt", "last.ckpt")
 # keys of `trainer` that no weight depends on
 WITHOUT_EFFECT = {
     *("enable_progress_bar", "enable_model_summary", "log_every_n_steps", "limit_test_batches", "profiler"),
-    *("accelerator", "devices", "num_nodes", "strategy"),  # they round otherwise, no more
+    *(
+        "accelerator",
+        "devices",
+        "num_nodes",
+        "strategy",
+    ),  # they round otherwise; of several devices each averages over its own part of a batch
 }
 # rooms of the package that no weight depends on: they only show what others computed. All others count, also those of
 # which only a part does: a training too many costs minutes, a stale checkpoint a wrong table
 SHOWING = ("drawing", "report")
+
+
+_PACKAGE = Path(cophy.__file__).parent
+_CODE = {  # as it was when the command began: an edit while data are generated is of the next command
+    path: path.read_bytes() for path in _PACKAGE.rglob("*.py") if path.relative_to(_PACKAGE).parts[0] not in SHOWING
+}
 
 
 class Trained(NamedTuple):
@@ -171,7 +182,7 @@ def _read(checkpoints: Path, name: str) -> dict[str, Any]:
 
 
 def _hash_of_sources(network: nn.Module) -> str:
-    package, own = Path(cophy.__file__).parent, inspect.getsourcefile(type(network))
-    sources = {path for path in package.rglob("*.py") if path.relative_to(package).parts[0] not in SHOWING}
-    sources |= set(Path(own).parent.glob("*.py")) if own else set()
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(sources))).hexdigest()
+    own = inspect.getsourcefile(type(network))
+    beside = {path: path.read_bytes() for path in Path(own).parent.glob("*.py")} if own else {}
+    sources = beside | _CODE
+    return hashlib.sha256(b"".join(sources[path] for path in sorted(sources))).hexdigest()

@@ -95,7 +95,7 @@ def prediction_stage(
                 assert fitted is not None
                 values |= probe(Probed(fitted, train.targets), tested)
         write_predictions(run.directory, prediction, batch.targets)
-        copies = mse_of_copies(data.test.batch, scenario, data.mean_position)
+        copies = mse_of_copies(batch, scenario, data.mean_position)
         return Measured(values, batch.targets.pair.numpy(), copies)
 
     figures = PredictionFigures(data.val.batch, scenario, figures_every_n_epochs)

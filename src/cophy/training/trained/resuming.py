@@ -7,7 +7,11 @@ from cophy.errors import CophyError
 from cophy.training.trained.checkpoints import Checkpoint, Origin, read_bytes, read_checkpoint
 
 NAMED = 3  # settings in a message
+CHOSEN = ("scenario", "size")  # by a name, which brings all other keys below it
 NO_SETTING = {"scenario.task.splits"}  # names of splits: a split more changes no training
+MAY_CHANGE = {  # where a training goes on: how long it is, and a trial of it
+    *("trainer.max_epochs", "trainer.max_time", "split.epochs_factor", "trainer.fast_dev_run"),
+}
 
 
 def check_resumable(ckpt: Path, origin: Origin) -> None:
@@ -23,7 +27,10 @@ def check_resumable(ckpt: Path, origin: Origin) -> None:
     checkpoint = _read(ckpt, "ckpt", "last.ckpt")
     if not checkpoint.has_optimizer:
         raise CophyError(f"ckpt={ckpt} holds weights alone, for tests and predictions: go on from the run's last.ckpt")
-    if keys := _differing(_weights_depend_on(checkpoint.origin), _weights_depend_on(origin)):
+    own, wanted = (_all_weights_depend_on(each) for each in (checkpoint.origin, origin))
+    if checkpoint.origin.seed is None:  # an earlier version, which did not say
+        own, wanted = _weights_depend_on(checkpoint.origin), _weights_depend_on(origin)
+    if keys := _differing(*({key: each[key] for key in each.keys() - MAY_CHANGE} for each in (own, wanted))):
         raise CophyError(f"ckpt={ckpt} is of another training ({keys}): go on with the same settings, or start anew")
 
 
@@ -61,14 +68,20 @@ def _read(path: Path, key: str, kept: str) -> Checkpoint:
 
 
 def _differing(trained: dict[str, Any], wanted: dict[str, Any]) -> str:
-    """The settings of a checkpoint that are not those wanted; of many, the first."""
+    """The settings of a checkpoint that are not those wanted, as a command line has them; of many, the first."""
     keys = [key for key in sorted(trained.keys() | wanted.keys()) if trained.get(key) != wanted.get(key)]
-    more = [f"and {len(keys) - NAMED} others"] if len(keys) > NAMED else []
-    return ", ".join([*(f"{key}={trained.get(key)}" for key in keys[:NAMED]), *more])
+    chosen = [group for group in CHOSEN if f"{group}.name" in keys]
+    others = [key for key in keys if key.split(".")[0] not in (*chosen, "data")]
+    if not chosen and not others:
+        others = keys  # data alone, which else follow from the settings
+    named = [f"{group}={trained[f'{group}.name']}" for group in chosen]
+    named += [f"{key}={trained.get(key)}" for key in others]
+    more = [f"and {len(named) - NAMED} others"] if len(named) > NAMED else []
+    return ", ".join(named[:NAMED] + more)
 
 
 def _all_weights_depend_on(origin: Origin) -> dict[str, Any]:
-    """Also what a training that goes on may change."""
+    """Also what earlier versions did not write down."""
     last = {"seed": origin.seed, "trainer": origin.trainer, "split.epochs_factor": origin.split.get("epochs_factor")}
     return _weights_depend_on(origin) | flatten(last)
 

@@ -1,0 +1,33 @@
+"""How learning rates change."""
+
+import pytest
+from torch import nn
+from torch.optim import SGD
+from torch.optim.lr_scheduler import LambdaLR
+
+from cophy.training.optimisation import cosine_to_zero
+
+
+def rates(optimizer: SGD, schedule: LambdaLR, epochs: int) -> list[float]:
+    """Of the next epochs."""
+    found = []
+    for _ in range(epochs):
+        found.append(optimizer.param_groups[0]["lr"])
+        optimizer.step()
+        schedule.step()
+    return found
+
+
+def begun(epochs: int) -> tuple[SGD, LambdaLR]:
+    optimizer = SGD(nn.Linear(1, 1).parameters(), lr=0.5)
+    return optimizer, cosine_to_zero(optimizer, epochs)
+
+
+def test_a_longer_training_goes_on_at_its_own_rates() -> None:
+    shorter, longer = begun(4), begun(8)
+    expected = rates(*longer, 8)
+    assert rates(*shorter, 4)[-1] < expected[3]
+    optimizer, schedule = begun(8)
+    optimizer.load_state_dict(shorter[0].state_dict())  # in the order of Lightning
+    schedule.load_state_dict(shorter[1].state_dict())
+    assert rates(optimizer, schedule, 4) == pytest.approx(expected[4:], abs=1e-12)
