@@ -32,7 +32,15 @@ def test_an_object_is_stable_while_it_stays_slow_between_two_frames(tiny) -> Non
     stable = to_batch(arrays, spec.scenario).targets.stable[3]
     for frame in (1, 12, spec.scenario.clock.num_frames - 1):
         slow = (speed[4 * frame - 3 : 4 * frame + 1] < spec.scenario.task.stable_speed).all(axis=0)
-        np.testing.assert_array_equal(stable[frame - 1], slow)
+        np.testing.assert_array_equal(stable[frame - 1], slow & arrays["presence"][3, 1])
+
+
+def test_what_an_empty_slot_holds_is_false(tiny) -> None:
+    spec, arrays = tiny
+    batch = to_batch(arrays, spec.scenario)
+    assert not arrays["presence"].all()
+    assert not batch.inputs.observed_stable.transpose(1, 2)[~batch.inputs.observed_presence].any()
+    assert not batch.targets.stable.transpose(1, 2)[~batch.targets.presence].any()
 
 
 def estimates(batch: Batch, presence_logit: np.ndarray) -> dict[str, np.ndarray]:

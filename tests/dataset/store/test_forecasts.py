@@ -85,6 +85,16 @@ def test_data_that_come_out_otherwise_are_refused(forecasts, tmp_path: Path, mon
         each.write(tmp_path / "shard.h5", shard, lambda count: None)
 
 
+def test_what_is_stable_is_part_of_what_is_asked(forecasts) -> None:
+    every = forecasts["collision"]
+    spec = replace(
+        every.spec, scenario=replace(every.spec.scenario, task=replace(every.spec.scenario.task, stable_speed=0.5))
+    )
+    other = States(spec, every.states.directory.parents[1]).forecasts(ASKED)
+    assert other.states.directory == every.states.directory
+    assert other.directory != every.directory
+
+
 def test_oracles_are_asked_about_the_first_test_experiments(forecasts, tmp_path: Path) -> None:
     every = forecasts["collision"]
     shutil.copytree(every.states.directory, tmp_path / "collision" / every.states.directory.name)

@@ -55,6 +55,15 @@ def test_both_twins_come_from_the_same_half_of_the_configurations() -> None:
         assert assignment.first not in assignment.seconds
 
 
+@pytest.mark.parametrize("count", [11_664, 40_000])  # towers of four with three masses; more than are gone through
+def test_halves_hold_among_more_configurations_too(count: int) -> None:
+    seen = np.random.default_rng(0).permutation(count) < count // 2
+    for pair in range(0, 80, 4):
+        assignment = assign(pair, **(ONE_BLOCK | {"seen": seen, "num_configurations": count}))
+        assert (seen[list(assignment.seconds)] == seen[assignment.first]).all()
+        assert seen[assignment.first] == pair // 4 % 2
+
+
 def test_where_nothing_is_held_out_twins_come_from_all_configurations() -> None:
     prescribed = ONE_BLOCK | {"seen": None, "num_configurations": 16}
     assert {assign(pair, **prescribed).first for pair in range(0, 4 * 16, 4)} == set(range(16))

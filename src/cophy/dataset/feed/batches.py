@@ -31,7 +31,8 @@ def frames_of(arrays: dict[str, np.ndarray], scenario: Scenario) -> dict[str, np
     """
     stride, states = scenario.clock.states_per_frame, arrays["states"]
     stable = [stable_frames(states[:, sequence], stride, scenario.task.stable_speed) for sequence in (0, 1)]
-    return arrays | {"states": states[:, :, ::stride].copy(), "stable": np.stack(stable, axis=1)}
+    present = arrays["presence"][:, :, None]
+    return arrays | {"states": states[:, :, ::stride].copy(), "stable": np.stack(stable, axis=1) & present}
 
 
 def frames_to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
@@ -87,7 +88,7 @@ def estimated_inputs(estimates: dict[str, np.ndarray], scenario: Scenario) -> In
     return Inputs(
         observed=position[:, 0] * observed_presence[:, None, :, None],
         observed_presence=observed_presence,
-        observed_stable=_seems_stable(position[:, 0], scenario),
+        observed_stable=_seems_stable(position[:, 0], scenario) & observed_presence[:, None],
         initial=position[:, 1, 0] * presence[..., None],
         presence=presence,
     )

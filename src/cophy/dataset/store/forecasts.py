@@ -23,6 +23,7 @@ from cophy.scenario.oracles.resampling import resample
 from cophy.scenario.physics.remembering_simulator import RememberingSimulator
 
 VERSION = 2  # raise it when other hypotheses are tried
+USUAL_STABLE_SPEED = 0.1  # m/s, of every scenario (conf/scenario); what is said of another one lies apart
 STORED_PRECISION_M = 1e-4  # positions are stored with less error
 
 
@@ -40,6 +41,8 @@ class OracleForecasts(ShardSet):
         self.spec, self.states, self.settings = spec, states, settings
         asked = asdict(settings)
         self.asked = {name: asked[name] for name in ("draws", "max_configurations", "noise")}
+        if (stable_speed := spec.scenario.task.stable_speed) != USUAL_STABLE_SPEED:
+            self.asked["stable_speed"] = stable_speed
         if len(self._tested()) > settings.max_experiments:
             self.asked["max_experiments"] = settings.max_experiments
         text = json.dumps({"version": VERSION, **self.asked}, sort_keys=True)

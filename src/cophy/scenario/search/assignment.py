@@ -58,12 +58,14 @@ def assign(
     halves = [None] if seen is None else [np.flatnonzero(~seen), np.flatnonzero(seen)]
     turn, half = divmod(block, len(halves))
     among = halves[half]
-    if (num_configurations if among is None else len(among)) < 2:
+    count = num_configurations if among is None else len(among)
+    if count < 2:
         raise CophyError(
             "scenario.confounders leave too few configurations for twins: give some confounder more values"
         )
-    if num_configurations > MAX_IN_TURN:
-        first, *seconds = _any(num_configurations, np.random.default_rng((data_seed, turn, 0xC2)))
+    if count > MAX_IN_TURN:
+        drawn = _any(count, np.random.default_rng((data_seed, turn, 0xC2)))
+        first, *seconds = drawn if among is None else among[drawn].tolist()
     else:
         first, *seconds = _in_turn(np.arange(num_configurations) if among is None else among, turn, (data_seed, half))
     meeting = math.lcm(len(blocks), num_do_operations)  # turns after which the same kinds would meet again
