@@ -9,8 +9,9 @@ from cophy.training.trained.checkpoints import Checkpoint, Origin, read_bytes, r
 NAMED = 3  # settings in a message
 CHOSEN = ("scenario", "size")  # by a name, which brings all other keys below it
 NO_SETTING = {"scenario.task.splits"}  # names of splits: a split more changes no training
-MAY_CHANGE = {  # where a training goes on: how long it is, and a trial of it
+MAY_CHANGE = {  # where a training goes on: how long it is, how it is validated, and whether it is a trial
     *("trainer.max_epochs", "trainer.max_time", "split.epochs_factor", "trainer.fast_dev_run"),
+    *("trainer.limit_val_batches", "trainer.check_val_every_n_epoch"),
 }
 
 
