@@ -67,16 +67,16 @@ def line_of(title: str, found: pd.DataFrame) -> dict[str, str]:
 
 
 def of(found: pd.DataFrame, measure: str, scale: int, digits: int) -> str:
-    """Mean, standard deviation where there are several seeds, and the mean of the intervals."""
+    """Mean, standard deviation where there are several seeds, and the mean of the intervals; of which seeds, if not of all."""
     value, low, high = (scale * found[f"{measure}{end}"].mean() for end in ("", "_low", "_high"))
     if pd.isna(value):
         return "–"
     unit = " %" if scale == 100 else ""
     spread = f" ± {scale * found[measure].std():.{digits}f}" if found[measure].nunique() > 1 else ""
-    exact = low == high
-    return f"{value:.{digits}f}{spread}{unit}" + (
-        "" if exact or pd.isna(low) else f" [{low:.{digits}f}, {high:.{digits}f}]"
-    )
+    ends = "" if low == high or pd.isna(low) else f" [{low:.{digits}f}, {high:.{digits}f}]"
+    has = found[measure].notna()
+    seeds = "" if has.all() else f", seed {', '.join(map(str, sorted(found.loc[has, 'seed'])))}"
+    return f"{value:.{digits}f}{spread}{unit}{ends}{seeds}"
 
 
 if __name__ == "__main__":
