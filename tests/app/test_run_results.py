@@ -37,6 +37,14 @@ def test_the_table_holds_the_numbers_of_metrics_json(tiny_data: Path, tmp_path: 
     assert line(printed["copy_c"], "the paper's number of this row") == "4.370"
 
 
+def test_a_limited_test_counts_and_compares_what_it_tested(tiny_data: Path, tmp_path: Path) -> None:
+    limited = ("training.batch_size=2", "trainer.limit_test_batches=1", f"hydra.run.dir={tmp_path}")
+    train("scenario=collision", "model=copy_b", *limited, data=tiny_data)
+    content = json.loads((tmp_path / "metrics.json").read_text())
+    assert content["num_test"] == 2
+    assert content["copies"]["copy_b"] == pytest.approx(content["metrics"]["mse"])
+
+
 def test_the_share_is_told_where_both_oracles_were_run(tiny_data: Path, tmp_path: Path) -> None:
     arguments = (*ROW, f"source.outputs={tmp_path}")
     for oracle in ("oracle_feedforward", "oracle_counterfactual"):

@@ -39,8 +39,7 @@ def test_a_share_is_of_the_experiments_that_all_were_tested_on() -> None:
     assert share == pytest.approx((0.75, 0.75, 0.75))
     errors["with_ab"] = Errors(np.full(20, 1.0), pairs[2:22], pairs[2:22])
     assert np.isnan(share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]]).value)
-    errors["with_ab"] = Errors(
-        np.full(20, 1.0), pairs[:20], pairs[:20] + 0.5
-    )  # pairs of other data have the same numbers
+    # of other data, whose pairs have the same numbers
+    errors["with_ab"] = Errors(np.full(20, 1.0), pairs[:20], pairs[:20] + 0.5)
     assert np.isnan(share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]]).value)
     assert np.isnan(share_of_gain(ours.iloc[:0], without, with_ab, lambda run: errors[run["run"]]).value)

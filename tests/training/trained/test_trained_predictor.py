@@ -33,7 +33,7 @@ def test_a_checkpoint_brings_its_network_and_its_scenario(tmp_path: Path) -> Non
     model = model_of("model.hidden_dim=8")
     weights = build_network(model).state_dict()
     predictor = TrainedPredictor(saved(tmp_path / "a.ckpt", model, weights), SCENARIOS)
-    assert predictor.scenario.name == "balls"
+    assert (predictor.scenario.name, predictor.size, predictor.data_seed) == ("balls", "small", 0)
     assert all(torch.equal(value, weights[key]) for key, value in predictor.network.state_dict().items())
 
 

@@ -28,9 +28,9 @@ def check_resumable(ckpt: Path, origin: Origin) -> None:
     checkpoint = _read(ckpt, "ckpt", "last.ckpt")
     if not checkpoint.has_optimizer:
         raise CophyError(f"ckpt={ckpt} holds weights alone, for tests and predictions: go on from the run's last.ckpt")
-    own, wanted = (_all_weights_depend_on(each) for each in (checkpoint.origin, origin))
-    if checkpoint.origin.seed is None:  # an earlier version, which did not say
-        own, wanted = _weights_depend_on(checkpoint.origin), _weights_depend_on(origin)
+    says_all = checkpoint.origin.seed is not None  # as earlier versions did not
+    depends_on = _all_weights_depend_on if says_all else _weights_depend_on
+    own, wanted = depends_on(checkpoint.origin), depends_on(origin)
     if keys := _differing(*({key: each[key] for key in each.keys() - MAY_CHANGE} for each in (own, wanted))):
         raise CophyError(f"ckpt={ckpt} is of another training ({keys}): go on with the same settings, or start anew")
 

@@ -29,8 +29,9 @@ class TrainedPredictor:
 
     Attributes:
         scenario: Of the data.
-        size: Its name. Most test experiments of one size are training experiments of another.
-        data_seed: Likewise of another seed.
+        size: Name of their size. Test it on data of this size: most test experiments of another are among those it was
+            trained on.
+        data_seed: Of the data.
         network: From `Inputs` to `Prediction`.
     """
 
