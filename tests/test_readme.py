@@ -91,7 +91,7 @@ def test_the_first_steps_run(tiny_data: Path, tmp_path: Path) -> None:
     assert [script for script, _ in steps] == ["look", "train", "train", "report"]
     for script, words in steps:
         tiny = [] if script == "report" else ["size=tiny", f"data_dir={tiny_data}"]
-        quick = ["trainer.max_epochs=1"] if script == "train" else []
+        quick = {"train": ["trainer.max_epochs=1"], "look": ["render.resolution=112"]}.get(script, [])
         run(tmp_path, str(ROOT / "src" / f"{script}.py"), *shlex.split(words, comments=True), *tiny, *quick)
     assert (tmp_path / "outputs" / "look" / "collision" / "strip.png").exists()
     assert len(list((tmp_path / "outputs").glob("collision/all/**/metrics.json"))) == 3
