@@ -57,7 +57,7 @@ def compared(ours: pd.DataFrame, other: pd.DataFrame) -> dict[str, object]:
     errors = [
         [stored_errors(run) for run in rows[rows["seed"].isin(seeds)].to_dict("records")] for rows in (ours, other)
     ]
-    if not seeds or len({each.pair.tobytes() for part in errors for each in part}) > 1:
+    if not seeds or len({(each.pair.tobytes(), each.truth.tobytes()) for part in errors for each in part}) > 1:
         return {}
     one, two = (np.mean([each.mse for each in part], axis=0) for part in errors)
     low, high = interval(one - two, errors[0][0].pair)

@@ -3,7 +3,8 @@
 A row is named as compare_rows.py names it. A split is that of a run: where runs were trained on, too, not only tested. Splits that
 have no experiment in common are joined by +: 3to3_unseen+3to3_seen. Prints a Markdown table with a line for each scenario, kind of
 positions and size: the seeds that both have, both MSE (mean over seeds), and their difference with its 95 % interval. Of two splits
-that share experiments these are compared, one by one; else two samples are, and the interval is wider.
+that are tested on experiments of one dataset, those in both are compared, one by one; else two samples are, and the interval is
+wider.
 """
 
 import sys
@@ -58,10 +59,13 @@ def compared(runs: pd.DataFrame, splits: list[str], others: list[str]) -> dict[s
 
 
 def errors(runs: pd.DataFrame, splits: list[str]) -> pd.Series:
-    """The MSE of every twin pair of some splits, mean over twins and seeds; its index are the pairs."""
-    found = [stored_errors(run) for run in runs[runs["split"].isin(splits)].to_dict("records")]
-    pair = np.concatenate([each.pair for each in found])
-    return pd.Series(np.concatenate([each.mse for each in found])).groupby(pair).mean()
+    """The MSE of every twin pair of some splits, mean over twins and seeds; its index are test dataset and number of the pair."""
+    found = [
+        pd.Series(errors.mse).groupby([pd.Index([run["dataset_ids"][-1]] * len(errors.pair)), errors.pair]).mean()
+        for run in runs[runs["split"].isin(splits)].to_dict("records")
+        for errors in [stored_errors(run)]
+    ]
+    return pd.concat(found).groupby(level=[0, 1]).mean()
 
 
 def interval(one: pd.Series, two: pd.Series, *, paired: bool) -> tuple[float, float]:

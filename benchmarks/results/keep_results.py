@@ -2,8 +2,8 @@
 
 Adds every finished run to docs/results/results.csv, with the commit of this checkout, and with its share of the possible gain where
 both oracles are among the runs. A run that is in the table already (the same names, data and epochs) is replaced, but no training
-by a test of given weights (predictor=), whose commit is that of the test. Run it before the code changes: no file of src/ or conf/
-may differ from the commit.
+by a test of given weights (predictor=), whose commit is that of the test. One that was not made again keeps its commit. Run it
+before the code changes: no file of src/ or conf/ may differ from the commit.
 """
 
 import subprocess
@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "results" / "results.csv"
 NAMES = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]
 KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
+SAME_RUN = [*KEY, "predictor", "training_seconds", "mse"]  # the seconds of two trainings differ
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
 TESTED = ["scenario", "split", "datasets"]  # what a run and the oracles that it is compared with have in common
 SHARE = ["share", "share_low", "share_high"]
@@ -46,6 +47,7 @@ def main(outputs: Path, table: Path) -> None:
         found.loc[tested.index, SHARE] = shares(tested)
     before = [pd.read_csv(table, keep_default_na=False, dtype=str)] if table.exists() else []
     merged = pd.concat([*before, found.reindex(columns=COLUMNS).map(as_text)], ignore_index=True).fillna("")
+    merged["commit"] = merged.groupby(SAME_RUN)["commit"].transform("first")
     trained_last = merged.sort_values("predictor", key=lambda given: given == "", kind="stable")
     kept = trained_last.drop_duplicates(KEY, keep="last").sort_values(KEY)
     write_atomically(table, kept.to_csv(index=False).encode())
@@ -74,8 +76,14 @@ def line_of(path: Path, commit: str) -> dict[str, object]:
 
 
 def shares(tested: pd.DataFrame) -> list[list[float]]:
-    """The share of each run with its interval, of the experiments that the oracles were asked about; NaN without both oracles."""
-    without, with_ab = (tested[tested["model"] == model] for model in ENDS)
+    """The share of each run with its interval, of the experiments that the oracles were asked about; NaN without both oracles.
+
+    Of oracles with settings of their own there is none.
+    """
+    plain = tested[
+        [variant in ("", f"+size-{size}") for variant, size in zip(tested["variant"], tested["size"], strict=True)]
+    ]
+    without, with_ab = (plain[plain["model"] == model] for model in ENDS)
     return [list(share_of_gain(tested.loc[[run]], without, with_ab, stored_errors)) for run in tested.index]
 
 

@@ -14,7 +14,7 @@ from keep_results import ROOT, TABLE
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, ScalarFormatter
-from result_tables import ROWS
+from result_tables import ROWS, check_seeds
 
 PICTURES = ROOT / "docs" / "pictures"
 PANEL = ["scenario", "split"]
@@ -47,6 +47,7 @@ def mean_over_seeds(runs: pd.DataFrame) -> pd.DataFrame:
     """
     plain = runs["variant"].fillna("").str.fullmatch(PLAIN) & (runs["positions"] == "ground_truth")
     kept = runs[plain & runs["size"].isin(SIZES)]
+    check_seeds(kept, [*CURVE, "num_train", "size"])
     points = kept.groupby([*CURVE, "num_train", "size"])
     found = points[COLUMNS].mean().assign(seeds=points["seed"].agg(lambda seeds: ", ".join(map(str, sorted(seeds)))))
     curves = [of_few_datasets(curve) for _, curve in found.reset_index().groupby(CURVE)]

@@ -30,6 +30,7 @@ ROWS = {  # model and ablation, as the tables of the paper name them
 }
 SPLIT = ["scenario", "split"]
 NAMES = [*SPLIT, "model", "ablation", "positions"]
+SEEDS_SHARE = ["datasets", "max_epochs"]
 
 
 def main(size: str, table: Path) -> None:
@@ -39,6 +40,7 @@ def main(size: str, table: Path) -> None:
     kept = runs[variant & (runs["size"] == size) & (runs["positions"] == "ground_truth")]
     if kept.empty:
         sys.exit(f"{table}: no runs of size={size}; there are {', '.join(sorted(set(runs['size'])))}")
+    check_seeds(kept, [*NAMES, "variant"])
     for (scenario, split), tested in kept.groupby(SPLIT):
         models = tested.groupby(["model", "ablation"])
         lines = [line_of(title, models.get_group(name)) for name, title in ROWS.items() if name in models.groups]
@@ -47,6 +49,15 @@ def main(size: str, table: Path) -> None:
             f"\n### {scenario}, {split}\n\n{counts['num_train']} training and {counts['num_test']} test experiments.\n"
         )
         print(pd.DataFrame(lines).to_markdown(index=False, disable_numparse=True))
+
+
+def check_seeds(runs: pd.DataFrame, names: list[str]) -> None:
+    """Runs of these names are averaged: they must be of the same data and epochs."""
+    kinds = runs.groupby(names, dropna=False)[SEEDS_SHARE].nunique().max(axis=1)
+    if (mixed := kinds[kinds > 1]).any():
+        sys.exit(
+            f"runs of several datasets or epochs cannot be averaged, take the older ones out of the table: {list(mixed.index)}"
+        )
 
 
 def line_of(title: str, found: pd.DataFrame) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,20 @@ from cophy.app.schemas.commands import GenerateConfig, TrainConfig
 from cophy.dataset.splits import Split
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
+from cophy.report.runs.stored_run import DATASETS
 from cophy.scenario import Scenario
 
 OF_EVERY_RUN = ("model", "scenario", "split", "training", "trainer", "data_seed")
 OF_DERENDERERS = ("render", "num_images", "num_objects")
+
+
+@cache
+def _generated_ids(scenario: str, split: str, size: str) -> list[str]:
+    """The datasets that a run of these names reads, the training one first."""
+    chosen = composed("generate", f"scenario={scenario}", f"split={split}", f"size={size}")
+    settings = to_config(chosen, GenerateConfig)
+    counts = dict.fromkeys(part.num_objects for part in (settings.split.train, settings.split.test))
+    return [states.id for count in counts for states in generated_by(replace(settings, num_objects=[count]))]
 
 
 class ComposedChoices:
@@ -28,14 +39,17 @@ class ComposedChoices:
         self.source, self.data_dir = source, data_dir
 
     def keys_of(self, names: Mapping[str, Any]) -> dict[str, Any]:
-        """The keys of the configuration that make a run of these names the run it claims to be."""
+        """The keys of the configuration that make a run of these names the run it claims to be; see `Choices`."""
         groups = [f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation")]
+        is_derenderer = names["model"].startswith("derenderer")
         try:
             plain = to_plain(composed("train", f"source={self.source}", *groups))
+            keys = {key: plain[key] for key in (*OF_EVERY_RUN, *(OF_DERENDERERS if is_derenderer else ()))}
+            if is_derenderer or self.source != "generated":
+                return keys
+            return keys | {DATASETS: _generated_ids(*(names[name] for name in ("scenario", "split", "size")))}
         except (HydraException, OmegaConfBaseException) as error:
             raise CophyError(explain(error)) from error
-        of_pictures = OF_DERENDERERS if names["model"].startswith("derenderer") else ()
-        return {key: plain[key] for key in (*OF_EVERY_RUN, *of_pictures)}
 
     def scenario(self, name: str) -> Scenario:
         """The scenario of this name."""

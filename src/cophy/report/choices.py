@@ -12,7 +12,9 @@ class Choices(Protocol):
     """What the names under which a run was chosen stand for."""
 
     def keys_of(self, names: Mapping[str, Any]) -> dict[str, Any]:
-        """The keys of the configuration that make a run of these names the run it claims to be.
+        """The keys of the configuration that make a run of these names the run it claims to be, with their values.
+
+        Of a predictor on generated data, `dataset_ids`, too: those that are generated today.
 
         Raises:
             CophyError: The names compose no configuration.

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 
+from cophy.app.report_choices import ComposedChoices
+from cophy.errors import CophyError
 from cophy.report.runs.comparable import of_largest_size, of_seeds
 from cophy.report.runs.run_table import read_runs, summary
 from cophy.report.runs.stored_run import MAX_BYTES
-from cophy.training.runs.results import write_predictions
-from cophy.types import Prediction, Targets
 from tests.report.lines import measured, run
+from tests.report.stored_runs import CONFIG, PLACE, content, leave
 
 
 def test_the_summary_tells_the_cost() -> None:
@@ -51,29 +51,6 @@ def test_runs_that_differ_in_their_seed_alone_may_be_averaged() -> None:
     assert of_largest_size(sizes)["size"].tolist() == ["paper"]
 
 
-PLACE = Path("blocktower/3to3/cophynet/full/ground_truth/seed0")
-CONFIG = "trainer: {max_epochs: 40}\nmodel: {a: 1}\nscenario: {task: {metric_dims: 3}}\nsplit: {epochs_factor: 2}\n"
-
-
-def content(**changes: Any) -> dict[str, Any]:
-    """metrics.json of a run."""
-    line = run("cophynet") | {"dataset_ids": ["3-x"], "metrics": {"mse": 0.2}, "intervals": {"mse": [0.1, 0.3]}}
-    return {key: value for key, value in (line | changes).items() if key not in ("error", "directory")}
-
-
-def leave(directory: Path, metrics: str | bytes, config: str = CONFIG) -> None:
-    """What train.py leaves of a run, with predictions of two experiments."""
-    (directory / ".hydra").mkdir(parents=True)
-    (directory / ".hydra" / "config.yaml").write_text(config)
-    (directory / "metrics.json").write_bytes(metrics.encode() if isinstance(metrics, str) else metrics)
-    position, present = torch.zeros(2, 5, 3, 3), torch.ones(2, 3, dtype=torch.bool)
-    targets = Targets(
-        position, torch.ones(2, 5, 3, dtype=torch.bool), present, position[:, 0], present,
-        torch.zeros(2, 3, 2, dtype=torch.long), torch.zeros(2, dtype=torch.long), torch.zeros(2, dtype=torch.long),
-    )  # fmt: skip
-    write_predictions(directory, Prediction(position), targets)
-
-
 def test_what_was_refused_before_it_began_does_not_count(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     for seed, begun in enumerate((True, False)):
@@ -94,6 +71,27 @@ def test_only_runs_in_their_own_place_are_read(tmp_path: Path, caplog: pytest.Lo
     assert "do not lie where train.py puts them (hydra.run.dir=), and are not read: 1." in " ".join(caplog.text.split())
     assert runs.iloc[0][["mse", "mse_low", "mse_high", "epochs"]].tolist() == [0.2, 0.1, 0.3, 80]
     assert read_runs(tmp_path, lambda names: {"model": {"a": 2}}).empty
+
+
+def test_a_run_on_other_data_than_its_names_stand_for_fills_no_table(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for seed, dataset in enumerate(("3-x", "3-old")):
+        leave(tmp_path / PLACE.with_name(f"seed{seed}"), json.dumps(content(seed=seed, dataset_ids=[dataset])))
+    assert read_runs(tmp_path, lambda names: {"dataset_ids": ["3-x"]})["seed"].tolist() == [0]
+    assert "(dataset_ids=['3-old']): blocktower 3to3 cophynet." in " ".join(caplog.text.split())
+
+
+def test_names_stand_for_the_data_that_are_generated_today() -> None:
+    names = {"scenario": "blocktower", "split": "4to3", "model": "in", "ablation": "full", "size": "tiny"}
+    generated = ComposedChoices("generated", Path("data"))
+    ids = [generated.dataset("blocktower", count, "tiny").id for count in (4, 3)]
+    assert generated.keys_of(names)["dataset_ids"] == ids
+    assert generated.keys_of(names | {"split": "4to4"})["dataset_ids"] == ids[:1]
+    assert "dataset_ids" not in generated.keys_of(names | {"model": "derenderer"})
+    assert "dataset_ids" not in ComposedChoices("cophy", Path("data")).keys_of(names)
+    with pytest.raises(CophyError, match="nowhere"):
+        generated.keys_of(names | {"size": "nowhere"})
 
 
 STRANGE = {
@@ -140,10 +138,10 @@ def pickled() -> dict[str, Any]:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"position": np.zeros((2, 5, 3))},
-        {"position": np.full((2, 5, 3, 3), np.nan, "f4")},
-        {"pair": np.zeros(2)},
-        {"presence": np.ones((2, 4), bool)},
+        {"position": np.zeros((4, 5, 3))},
+        {"position": np.full((4, 5, 3, 3), np.nan, "f4")},
+        {"pair": np.zeros(3)},
+        {"presence": np.ones((4, 4), bool)},
         {"target": np.zeros(3)},
         pickled(),
     ],

@@ -12,7 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from cophy.errors import CophyError
-from cophy.report.runs.stored_run import NAMES, read_configuration, read_line
+from cophy.report.runs.stored_run import DATASETS, NAMES, read_configuration, read_line
 from cophy.report.tables.terminal_tables import notice
 from cophy.training.runs.identity import FAILURE, METRICS, differences, plain_value
 
@@ -27,12 +27,12 @@ IN_CAPTIONS = "trainer.max_epochs"  # may differ, as sizes may: each table says 
 def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]) -> pd.DataFrame:
     """The runs in `outputs` that lie where train.py puts them, so that no two share their names.
 
-    A run whose configuration is not that of its names fills no table (an override on the command line beats what a row
-    says). The log names it.
+    A run whose configuration or data are not those of its names fills no table (an override on the command line beats
+    what a row says). The log names it.
 
     Args:
         outputs: Where train.py wrote its runs.
-        keys_of: From a run's names to the keys of the configuration that they stand for.
+        keys_of: See `Choices.keys_of`.
 
     Returns:
         (`attrs`: how many are `unused`, and of these how many cannot be read, `skipped`.) One line each: names, directory, counts, epochs, metric_dims, every test metric and its interval (`_low`, `_high`). A failed
@@ -60,8 +60,10 @@ def read_runs(outputs: Path, keys_of: Callable[[dict[str, Any]], dict[str, Any]]
             else:
                 lines.append(line | {"directory": path.parent})
     for reason, names in aside.items():
-        one = "1 run fills no table, as its configuration is its own"
-        said = one if len(names) == 1 else f"{len(names)} runs fill no table, as their configuration is their own"
+        one = "1 run fills no table, as its configuration or data are its own"
+        said = (
+            one if len(names) == 1 else f"{len(names)} runs fill no table, as their configuration or data are their own"
+        )
         log.warning(notice(f"{said} ({reason}): {'; '.join(names)}."))
     if refused:
         some = ", ".join(map(str, refused[:MOST_REFUSED])) + (", …" if len(refused) > MOST_REFUSED else "")
@@ -124,10 +126,11 @@ def _check_place(line: dict[str, Any], directory: Path) -> None:
 
 
 def _changes(line: dict[str, Any], directory: Path, expected: dict[str, Any]) -> list[str]:
-    """Keys of the run's own configuration that are not what its names stand for; notes its epochs and metric_dims in the line."""
+    """Keys of the run's own configuration, and dataset_ids, that are not what its names stand for; notes its epochs and metric_dims in the line."""
     own = read_configuration(directory / ".hydra" / "config.yaml")
     line["epochs"], line["metric_dims"] = _epochs(line, own), int(own.scenario.task.metric_dims)
-    changed = (pair for key, value in expected.items() for pair in differences(key, plain_value(own, key), value))
+    has = {key: line[key] if key == DATASETS else plain_value(own, key) for key in expected}
+    changed = (pair for key, value in expected.items() for pair in differences(key, has[key], value))
     return [f"{key}={value}" for key, value in changed if key != IN_CAPTIONS]
 
 

@@ -18,6 +18,7 @@ POSITIONS = {  # what a predictor sees, and how the report says it
     "derendered": "estimated positions",
     "train_ground_truth_test_derendered": "estimated positions in testing",
 }
+DATASETS = "dataset_ids"
 CHECKPOINTS = ("derenderer", "predictor")  # that were given, each by a hash
 COUNTS = ("num_train", "num_test", "training_seconds", "wall_seconds")
 MAX_BYTES = 1 << 20  # ours: a run's files have some kilobytes
@@ -39,8 +40,8 @@ def read_line(path: Path) -> dict[str, Any]:
     if path.name == FAILURE:
         return line | {"error": _text(content, "error"), "has_begun": content.get("has_begun") is not False}
     line |= {name: _number(content, name, at_least=0.0) for name in COUNTS} | {"error": None}
-    line |= {name: content.get(name) for name in ("dataset_ids", *CHECKPOINTS)}
-    if not _is_texts(line["dataset_ids"]) or not all(isinstance(line[name], str | None) for name in CHECKPOINTS):
+    line |= {name: content.get(name) for name in (DATASETS, *CHECKPOINTS)}
+    if not _is_texts(line[DATASETS]) or not all(isinstance(line[name], str | None) for name in CHECKPOINTS):
         raise CophyError("dataset_ids, derenderer or predictor are no names")
     line["is_trained"] = line["training_seconds"] > 0 or line["predictor"] is not None  # here, or before
     metrics, intervals = content.get("metrics"), content.get("intervals")

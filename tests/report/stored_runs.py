@@ -1,0 +1,32 @@
+"""What train.py leaves of a run, with numbers that are known."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from cophy.training.runs.results import write_predictions
+from cophy.types import Prediction, Targets
+from tests.report.lines import run
+
+PLACE = Path("blocktower/3to3/cophynet/full/ground_truth/seed0")
+CONFIG = "trainer: {max_epochs: 40}\nmodel: {a: 1}\nscenario: {task: {metric_dims: 3}}\nsplit: {epochs_factor: 2}\n"
+
+
+def content(**changes: Any) -> dict[str, Any]:
+    """metrics.json of a run."""
+    line = run("cophynet") | {"dataset_ids": ["3-x"], "metrics": {"mse": 0.2}, "intervals": {"mse": [0.1, 0.3]}}
+    return {key: value for key, value in (line | changes).items() if key not in ("error", "directory")}
+
+
+def leave(directory: Path, metrics: str | bytes, config: str = CONFIG, error: float = 0.0) -> None:
+    """What train.py leaves of a run, with predictions of two twin pairs that are all `error` metres off in every coordinate."""
+    (directory / ".hydra").mkdir(parents=True)
+    (directory / ".hydra" / "config.yaml").write_text(config)
+    (directory / "metrics.json").write_bytes(metrics.encode() if isinstance(metrics, str) else metrics)
+    position, present = torch.zeros(4, 5, 3, 3), torch.ones(4, 3, dtype=torch.bool)
+    targets = Targets(
+        position, torch.ones(4, 5, 3, dtype=torch.bool), present, position[:, 0], present,
+        torch.zeros(4, 3, 2, dtype=torch.long), torch.arange(4) // 2, torch.zeros(4, dtype=torch.long),
+    )  # fmt: skip
+    write_predictions(directory, Prediction(position + error), targets)

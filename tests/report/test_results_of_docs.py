@@ -1,0 +1,72 @@
+"""The scripts that docs/results is made with compare and average what belongs together."""
+
+import importlib
+import json
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cophy.report.tables.shares import Errors
+from tests.report.stored_runs import PLACE, content, leave
+
+SCRIPTS = Path(__file__).parents[2] / "benchmarks" / "results"
+CONFIG = "trainer: {max_epochs: 40}\nscenario: {task: {metric_dims: 3}}\nsplit: {epochs_factor: 1}\n"
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
+    """The script whose name the test gives."""
+    monkeypatch.syspath_prepend(SCRIPTS)
+    return importlib.import_module(request.param)
+
+
+@pytest.mark.parametrize("script", ["compare_splits"], indirect=True)
+@pytest.mark.parametrize(("tested_on", "said"), [("3-x", "2 in both"), ("4-y", "2, 2")])
+def test_pairs_of_other_data_are_not_compared_one_by_one(
+    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], tested_on: str, said: str
+) -> None:
+    for split, ids, error in (("3to3", ["3-x"], 1.0), ("3to4", ["3-x", tested_on], 2.0)):
+        place = PLACE.parts[0] / Path(split, *PLACE.parts[2:])
+        leave(tmp_path / place, json.dumps(content(split=split, dataset_ids=ids, variant="")), CONFIG, error)
+    script.main("cophynet", "3to4", "3to3", tmp_path)
+    line = [cell.strip() for cell in capsys.readouterr().out.splitlines()[-1].split("|")]
+    assert line[5:9] == [said, "4.000", "1.000", "3.000 [3.000, 3.000]"]
+
+
+@pytest.mark.parametrize("script", ["keep_results"], indirect=True)
+def test_a_run_keeps_the_commit_that_made_it(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table, metrics = tmp_path / "table.csv", tmp_path / PLACE / "metrics.json"
+    leave(metrics.parent, json.dumps(content(variant="")), CONFIG)
+    for commit, seconds, kept in (("one", 100.0, "one"), ("two", 100.0, "one"), ("three", 90.0, "three")):
+        monkeypatch.setattr(script, "committed", lambda name=commit: name)
+        metrics.write_text(json.dumps(content(variant="", training_seconds=seconds)))
+        script.main(tmp_path, table)
+        assert pd.read_csv(table)["commit"].tolist() == [kept]
+
+
+@pytest.mark.parametrize("script", ["keep_results"], indirect=True)
+def test_oracles_with_settings_of_their_own_give_no_share(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    pair, mse = np.arange(40) // 2, {"cophynet": 2.0, "oracle_feedforward": 5.0, "oracle_counterfactual": 1.0}
+    runs = pd.DataFrame([{"model": model, "variant": "+size-paper", "size": "paper"} for model in mse])
+    own = runs.iloc[1:].assign(variant="+noise-1+size-paper")
+
+    def errors(run: dict[str, str]) -> Errors:
+        value = mse[run["model"]] + 7.0 * ("noise" in run["variant"])
+        return Errors(np.full(40, value), pair, pair)
+
+    monkeypatch.setattr(script, "stored_errors", errors)
+    assert script.shares(pd.concat([runs, own], ignore_index=True))[0] == pytest.approx([0.75] * 3)
+    assert np.isnan(script.shares(pd.concat([runs[:1], own], ignore_index=True))[0][0])
+
+
+@pytest.mark.parametrize("script", ["result_tables"], indirect=True)
+def test_seeds_on_other_data_are_not_averaged(script: ModuleType) -> None:
+    runs = pd.DataFrame([{"model": "in", "seed": seed, "datasets": "3-x", "max_epochs": 40} for seed in range(2)])
+    script.check_seeds(runs, ["model"])
+    with pytest.raises(SystemExit, match="several datasets"):
+        script.check_seeds(runs.assign(datasets=["3-x", "3-old"]), ["model"])
