@@ -4,11 +4,15 @@ import errno
 import hashlib
 import os
 import shutil
+import socket
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
+MACHINE = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
+ABANDONED_S = 86400  # ours: what nobody wrote to for a day, on another machine, is taken to be left behind
 FULL = 1 << 20  # bytes; ours: with less left, what was not written is taken to be for want of space
 
 
@@ -43,9 +47,10 @@ def write_atomically(path: Path, content: bytes) -> None:
 def appearing_whole(path: Path) -> Iterator[Path]:
     """A temporary name to write to; what was written is flushed and renamed at the end, or removed on failure.
 
-    The name is nobody else's, so that two processes that write the same file, on whatever machines, do not meet.
+    The name is nobody else's, so that two processes that write the same file, on whatever machines, do not meet. It tells
+    who writes, see `is_left_behind`.
     """
-    temporary = path.with_name(f"{path.name}.{uuid4().hex[:8]}.tmp")
+    temporary = path.with_name(f"{path.name}.{MACHINE}-{os.getpid()}-{uuid4().hex[:8]}.tmp")
     try:
         yield temporary
         with open(temporary, "rb") as file:
@@ -53,6 +58,20 @@ def appearing_whole(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def is_left_behind(temporary: Path) -> bool:
+    """Whether the process that wrote to this temporary name is gone. Of one on another machine, its last write tells."""
+    try:
+        machine, process, _ = temporary.name.split(".")[-2].split("-")
+        if machine != MACHINE:
+            return time.time() - temporary.stat().st_mtime > ABANDONED_S
+        os.kill(int(process), 0)  # sends nothing
+    except PermissionError:  # it runs, for somebody else
+        return False
+    except (ValueError, IndexError, OSError):  # no name of ours, or no such process; or the file itself is gone
+        return True
+    return False
 
 
 def sha256(path: Path) -> str:

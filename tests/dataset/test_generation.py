@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
+from cophy.atomic_files import appearing_whole
 from cophy.dataset.spec import FORMAT_VERSION
 from cophy.dataset.store.manifest import MANIFEST
 from cophy.dataset.store.states import States
@@ -92,6 +93,15 @@ def test_a_full_disk_is_said_in_one_line_and_loses_nothing(
     with pytest.raises(CophyError, match=r"no space left .*2 of 2 shards are done.*same command again"):
         generate(tmp_path, workers=1)
     assert not list(directory.glob("*.tmp"))
+
+
+def test_what_a_part_writes_beside_is_left_to_it(finished: Path, tmp_path: Path) -> None:
+    directory = copy(finished, tmp_path)
+    with appearing_whole(directory / "shard-00000.h5") as temporary:
+        temporary.write_bytes((directory / "shard-00000.h5").read_bytes())
+        generate(tmp_path, workers=1)
+        assert temporary.exists()
+    assert digests(directory) == digests(finished)
 
 
 @pytest.mark.parametrize("whole", [True, False])

@@ -19,7 +19,7 @@ from pathlib import Path
 from filelock import FileLock
 from tqdm import tqdm
 
-from cophy.atomic_files import appearing_whole, check_space
+from cophy.atomic_files import appearing_whole, check_space, is_left_behind
 from cophy.dataset.store.hdf5_arrays import DamagedShardError
 from cophy.dataset.store.manifest import MANIFEST
 from cophy.dataset.store.shardset import ShardSet
@@ -200,7 +200,10 @@ def _locked(directory: Path) -> Iterator[bool]:
 
 @contextmanager
 def _without_leftovers(directory: Path) -> Iterator[None]:
-    """Begin and end without half-written files: of a process that was killed, or of workers that a full disk ended."""
+    """Begin and end without half-written files: of a process that was killed, or of workers that a full disk ended.
+
+    Those of `make_part`, which may be at work beside, stay.
+    """
     try:
         _remove_leftovers(directory)
         yield
@@ -210,8 +213,9 @@ def _without_leftovers(directory: Path) -> Iterator[None]:
 
 
 def _remove_leftovers(directory: Path) -> None:
-    for leftover in directory.glob("*.tmp"):
-        leftover.unlink(missing_ok=True)
+    for temporary in directory.glob("*.tmp"):
+        if is_left_behind(temporary):
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager

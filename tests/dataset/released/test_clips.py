@@ -7,9 +7,10 @@ import pytest
 
 from cophy.dataset.feed.frame_dataset import FrameDataset
 from cophy.dataset.pictures.estimates import Estimates
+from cophy.errors import CophyError
 from cophy.scenario.rendering.frames import Backend, RenderSettings
 from tests.dataset.released.indexing import LISTS, make, states
-from tests.dataset.released.trees import BALL_COLORS, CoPhyTree, filtered_tree
+from tests.dataset.released.trees import BALL_COLORS, CoPhyTree, clip, filtered_tree
 
 RENDER = RenderSettings(["rgb"], 16, Backend.tiny)
 
@@ -46,6 +47,20 @@ def test_frames_are_those_of_their_states(tmp_path: Path, source: str) -> None:
     position = estimates.load()["position"]
     np.testing.assert_allclose(position[2, 1, :, 0, 0], 8 * np.arange(30), atol=3.9)
     assert not position[1, 1].any()
+
+
+def test_clips_of_different_sizes_are_named(tmp_path: Path) -> None:
+    tree = CoPhyTree(tmp_path)
+    for name in "0123":
+        tree.balls(name)
+    tree.lists("ballsCF", "_4", **LISTS)
+    clip(tmp_path / "ballsCF/4/1/cd/rgb.mp4", 30, 5, 64)
+    opened = states("cophy", "balls", tmp_path)
+    make(opened)
+    read = opened.frames(RENDER).pictures(opened.load(), ["rgb"])
+    assert read(0)["rgb"].shape == (2, 30, 32, 32, 3)
+    with pytest.raises(CophyError, match=r"ballsCF/4/1: the clips of ab and cd differ in size"):
+        read(1)
 
 
 class Brightness:

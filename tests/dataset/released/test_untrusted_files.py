@@ -58,6 +58,13 @@ def odd_header(directory: Path) -> None:
     (directory / "confounders.npy").write_bytes(b"\x93NUMPY\x01\x00\x10\x00" + b"{[]: (1, 2L, 3  \n" + bytes(64))
 
 
+def negative_axes(directory: Path) -> None:
+    with open(directory / "cd/states.npy", "wb") as file:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (-30, -4, 13)}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.write(bytes(30 * 4 * 13 * 8))
+
+
 def many_axes(directory: Path) -> None:
     with open(directory / "confounders.npy", "wb") as file:
         header = {"descr": "<f8", "fortran_order": False, "shape": (1,) * 100}
@@ -91,6 +98,8 @@ SPOILT = {
     "10 GB header": (huge_header, "says float64 (100000000, 1, 13)"),
     "CD of another width": (lambda d: np.save(d / "cd/states.npy", np.load(d / "cd/states.npy")[:, :3]), "AB have 4 objects, of CD 3"),
     "odd header": (odd_header, "not a .npy file"),
+    "negative axes": (negative_axes, "says float64 (-30, -4, 13)"),
+    "beyond float32": (with_states(lambda a: 1e39 * a.astype(bool)), "states.npy holds 1e+39"),
     "many axes": (many_axes, "says float64 (1, 1, "),
     "link": (linked, "confounders.npy is a link"),
     "linked folder": (linked_folder, "links in the place of ab"),

@@ -8,13 +8,14 @@ import h5py
 import numpy as np
 import pytest
 
-from cophy.dataset.store.hdf5_arrays import DamagedShardError, Field, creating, encode, reading
+from cophy.dataset.store.hdf5_arrays import DamagedShardError, Field, attribute, creating, encode, reading
 
 FIELDS = {"mass": Field((2, 4), "<f4"), "cell": Field((2,), "|u1")}
+UNKNOWN = h5py.h5t.UNIX_D32LE  # a type that NumPy does not have
 ARRAYS = {"mass": np.arange(8, dtype="f4").reshape(2, 4), "cell": np.array([3, 1], dtype="u1")}
 
 
-@pytest.mark.parametrize("fault", ["missing", "external", "soft link", "shape", "type", "cut off", "pipe"])
+@pytest.mark.parametrize("fault", ["missing", "external", "soft link", "shape", "type", "opaque", "cut off", "pipe"])
 def test_what_is_no_plain_array_is_damage(tmp_path: Path, fault: str) -> None:
     path = tmp_path / "shard.h5"
     path.write_bytes(encode(ARRAYS, FIELDS, {}))
@@ -34,6 +35,8 @@ def test_what_is_no_plain_array_is_damage(tmp_path: Path, fault: str) -> None:
                 file.create_dataset("mass", shape=(10**9, 4), dtype="f4", chunks=(1000, 4))
             elif fault == "type":
                 file.create_dataset("mass", shape=(2, 4), dtype="f8")
+            elif fault == "opaque":
+                h5py.h5d.create(file.id, b"mass", UNKNOWN, h5py.h5s.create_simple((2, 4)))
     with pytest.raises(DamagedShardError, match=r"truncated|mass|no plain file"), reading(path, FIELDS, {}):
         pass
 
@@ -56,6 +59,20 @@ def test_a_file_made_of_other_files_is_damage(tmp_path: Path) -> None:
         np.testing.assert_array_equal(stored["mass"][()], ARRAYS["mass"])
     with pytest.raises(DamagedShardError, match="made of other files"), reading(path, FIELDS, {"states_sha256": "b"}):
         pass
+    for spoil in (lambda file: file.attrs.update(states_sha256=["a", "a"]), with_unknown_attribute):
+        with h5py.File(path, "r+") as file:
+            spoil(file)
+        assert attribute(path, "states_sha256") is None
+        with (
+            pytest.raises(DamagedShardError, match="made of other files"),
+            reading(path, FIELDS, {"states_sha256": "a"}),
+        ):
+            pass
+
+
+def with_unknown_attribute(file: h5py.File) -> None:
+    del file.attrs["states_sha256"]
+    h5py.h5a.create(file.id, b"states_sha256", UNKNOWN, h5py.h5s.create(h5py.h5s.SCALAR))
 
 
 def test_a_disk_that_is_full_as_hdf5_closes_a_file_is_named(tmp_path: Path) -> None:

@@ -49,9 +49,13 @@ class Clips:
 
         def read(row: int) -> dict[str, np.ndarray]:
             experiment = int(arrays["experiment"][row])
+            directory = self.spec.directory / self.spec.ids[experiment]
             if not arrays["clip"][row].all():
-                raise CophyError(f"{self.spec.directory / self.spec.ids[experiment]} lacks a clip")
-            return {"rgb": np.stack([list(self._decoded(experiment, sequence, times)) for sequence in (0, 1)])}
+                raise CophyError(f"{directory} lacks a clip")
+            ab, cd = (np.stack(list(self._decoded(experiment, sequence, times))) for sequence in (0, 1))
+            if ab.shape != cd.shape:
+                raise CophyError(f"{directory}: the clips of ab and cd differ in size: download it again")
+            return {"rgb": np.stack([ab, cd])}
 
         return read
 

@@ -12,6 +12,7 @@ from cophy.scenario import Scenario
 # apart, and their noise is below 0.001 (0.0997877 for 0.1)
 SNAP_TOLERANCE = 0.02
 UNIT_TOLERANCE = 0.01  # ours: how far a quaternion's length may be from 1
+LARGEST = 1e4  # ours, in m, m/s and rad/s: hundreds of times what happens in any scenario
 
 
 class BrokenExperimentError(Exception):
@@ -49,6 +50,8 @@ def to_row(recording: Recording, scenario: Scenario, num_objects: int) -> dict[s
         BrokenExperimentError: it cannot be true.
     """
     presence = _presence(recording.states)
+    if (largest := np.abs(recording.states).max()) > LARGEST:
+        raise BrokenExperimentError(f"states.npy holds {largest:g}: no object gets so far, or so fast")
     if presence[0].sum() != num_objects:
         raise BrokenExperimentError(f"AB holds {presence[0].sum()} objects, not {num_objects}")
     if not presence[1].any() or (presence[1] & ~presence[0]).any():

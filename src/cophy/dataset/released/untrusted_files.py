@@ -53,7 +53,8 @@ def read_array(path: Path) -> np.ndarray:
         raise BrokenFileError(f"{path} is not a .npy file ({' '.join(str(error).split())})") from error
     if dtype.kind not in "fiu":
         raise BrokenFileError(f"{path} holds {dtype}, not plain numbers: pickled objects are not read")
-    if len(shape) > 3 or math.prod(shape) * dtype.itemsize != len(content) - file.tell():
+    counts = all(type(length) is int and length >= 0 for length in shape)
+    if len(shape) > 3 or not counts or math.prod(shape) * dtype.itemsize != len(content) - file.tell():
         raise BrokenFileError(f"{path} says {dtype} {shape} and holds {len(content) - file.tell()} bytes")
     flat = np.frombuffer(content, dtype, offset=file.tell())
     array = flat.reshape(shape, order="F" if fortran_order else "C").astype(np.float64)

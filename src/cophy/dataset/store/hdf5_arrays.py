@@ -111,7 +111,7 @@ def reading(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterat
     check_plain(path)
     try:
         with h5py.File(path, "r") as file:
-            if any(file.attrs[name] != value for name, value in attributes.items()):
+            if any(_attribute_in(file, name) != value for name, value in attributes.items()):
                 raise DamagedShardError("it was made of other files than those beside it")
             yield {name: _array_in(file, name, field) for name, field in fields.items()}
     except (OSError, KeyError, RuntimeError) as error:
@@ -135,14 +135,27 @@ def _array_in(file: h5py.File, name: str, field: Field) -> h5py.Dataset:
     array = file[name]
     if not isinstance(array, h5py.Dataset) or array.is_virtual or array.external:
         raise DamagedShardError(f"'{name}' is not an array stored in this file")
-    if array.shape != field.shape or array.dtype != np.dtype(field.dtype):
+    try:
+        dtype = array.dtype
+    except TypeError as error:
+        raise DamagedShardError(f"'{name}': {error}") from error
+    if array.shape != field.shape or dtype != np.dtype(field.dtype):
         expected = f"{np.dtype(field.dtype)} {field.shape}"
-        raise DamagedShardError(f"'{name}' is {array.dtype} {array.shape}, expected {expected}")
+        raise DamagedShardError(f"'{name}' is {dtype} {array.shape}, expected {expected}")
     return array
 
 
+def _attribute_in(file: h5py.File, name: str) -> str | None:
+    """An attribute that is a text; None for what is none."""
+    try:
+        found = file.attrs.get(name)
+    except (TypeError, ValueError):  # of a type that NumPy does not know
+        return None
+    return found if isinstance(found, str) else None
+
+
 def attribute(path: Path, name: str) -> str | None:
-    """An attribute of a file, or None where it has none.
+    """An attribute of a file, or None where it has none that is a text.
 
     Raises:
         DamagedShardError: it is no HDF5 file.
@@ -150,7 +163,6 @@ def attribute(path: Path, name: str) -> str | None:
     check_plain(path)
     try:
         with h5py.File(path, "r") as file:
-            found = file.attrs.get(name)
+            return _attribute_in(file, name)
     except (OSError, RuntimeError) as error:
         raise DamagedShardError(" ".join(str(error).split())) from error
-    return found if isinstance(found, str) else None

@@ -226,6 +226,9 @@ def test_an_export_overwrites_nothing_that_is_not_its_own(drawn: Any, tmp_path: 
     with pytest.raises(CophyError, match="collisionCF holds other data"):
         export(pictures.states, pictures, tmp_path / "foreign")
     assert [path.name for path in (tmp_path / "foreign").rglob("*")] == ["collisionCF", "0"]
+    (foreign.parent / "export.json").write_text("[" * 100_000)
+    with pytest.raises(CophyError, match="collisionCF holds other data"):
+        export(pictures.states, pictures, tmp_path / "foreign")
     lists = tmp_path / "lists" / "splits"
     lists.mkdir(parents=True)
     (lists / "collisionCF_val_normal.txt").write_text("17\n")

@@ -1,5 +1,6 @@
 """The files of one exported experiment, as CoPhy_224 has them."""
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,7 +44,7 @@ def write_experiment(directory: Path, experiment: Exported) -> None:
         _write_sequence(directory / name, experiment, sequence)
     arrays, row, task = experiment.arrays, experiment.row, experiment.task
     confounders = np.stack([arrays[name][row] for name in task.confounders], axis=-1).astype(np.float64)
-    np.save(directory / "confounders.npy", confounders)
+    _write_array(directory / "confounders.npy", confounders)
     if task.has_gravity:
         x, y, _ = arrays["gravity"][row].tolist()
         (directory / "gravity.txt").write_text(f"gravity_x={x:g} gravity_y={y:g}\n")
@@ -55,15 +56,22 @@ def _write_sequence(directory: Path, experiment: Exported, sequence: int) -> Non
     clock, pictures = experiment.scenario.clock, experiment.pictures
     length = min(clock.num_frames, experiment.task.max_frames or clock.num_frames)
     states = experiment.arrays["states"][experiment.row, sequence, :: clock.states_per_frame][:length]
-    np.save(directory / "states.npy", states.astype(np.float64))
+    _write_array(directory / "states.npy", states.astype(np.float64))
     (directory / "colors.txt").write_text(_colors(experiment, sequence))
     if pictures is None:
         return
     boxes = pictures["boxes"][sequence, :length].astype(np.float64)
-    np.save(directory / "bboxes.npy", np.where(boxes < 0, 0.0, boxes * BOX_PX / pictures["rgb"].shape[-2]))
+    _write_array(directory / "bboxes.npy", np.where(boxes < 0, 0.0, boxes * BOX_PX / pictures["rgb"].shape[-2]))
     segmentation = _palette(experiment.scenario)[pictures["segmentation"][sequence, :length]]
     _write_clip(directory / "rgb.mp4", pictures["rgb"][sequence, :length], clock.frame_rate_hz)
     _write_clip(directory / "segm.mp4", segmentation, clock.frame_rate_hz)
+
+
+def _write_array(path: Path, array: np.ndarray) -> None:
+    """As np.save does, which says of a full disk only how many bytes it wrote."""
+    file = io.BytesIO()
+    np.save(file, array)
+    path.write_bytes(file.getvalue())
 
 
 def _palette(scenario: Scenario) -> np.ndarray:

@@ -80,7 +80,7 @@ def _claim(folder: Path, states: States, images: Images | None, splits: Path, li
     marker = folder / MARKER
     try:
         ours = json.loads(read_plain(marker)) == content
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         ours = not folder.exists() or not os.listdir(folder)
     if not ours:
         wanted = f"{states.id} {'without pictures' if pictures is None else f'with {pictures}'}"

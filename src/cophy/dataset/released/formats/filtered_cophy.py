@@ -90,7 +90,7 @@ def _colors(path: Path, scenario: Scenario) -> list[int]:
     text = read_text(path)
     try:
         names = ast.literal_eval(text) if len(text) <= MAX_CHARACTERS else None
-    except (ValueError, SyntaxError, MemoryError, RecursionError) as error:
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError) as error:
         raise BrokenFileError(f"{path} is not a list of colours") from error
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
         raise BrokenFileError(f"{path} is not a list of different colours")
