@@ -67,7 +67,7 @@ def attack(draw: Any) -> None:
 
 
 def test_a_strange_value_is_accepted_or_refused_in_one_line() -> None:
-    often(100, attack)
+    often(50, attack)
 
 
 @pytest.mark.slow

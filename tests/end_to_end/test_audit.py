@@ -1,5 +1,6 @@
 """Data that are damaged or wrong: who notices, and the remedy."""
 
+import shutil
 from pathlib import Path
 
 import h5py
@@ -14,7 +15,7 @@ def audit(data: Path, **kwargs: int) -> str:
 
 
 def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_path: Path) -> None:
-    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
+    shutil.copytree(tiny_data / "collision", tmp_path / "collision")
     shard = next(tmp_path.rglob("shard-00001.h5"))
     shard.write_bytes(shard.read_bytes()[:1000])
     printed = train("scenario=collision", f"hydra.run.dir={tmp_path / 'run'}", data=tmp_path, code=1)
@@ -28,9 +29,9 @@ def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_pat
     assert "lines hold (2 twin pairs" in shard.with_name("README.md").read_text()
 
 
-def test_audit_names_what_is_wrong(tmp_path: Path) -> None:
+def test_audit_names_what_is_wrong(tiny_data: Path, tmp_path: Path) -> None:
     """Consistent checksums do not save a dataset whose twins do not belong together, or whose states are no numbers."""
-    run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")
+    shutil.copytree(tiny_data / "collision", tmp_path / "collision")
     shard = next(tmp_path.rglob("shard-00000.h5"))
     with h5py.File(shard, "r+") as file:
         file["split"][0] = 2 - file["split"][0]
