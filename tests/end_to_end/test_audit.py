@@ -1,12 +1,12 @@
 """Data that are damaged or wrong: who notices, and the remedy."""
 
-import shutil
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from tests.commands import run, train
+from tests.dataset.copies import SPEC, copy
 
 
 def audit(data: Path, **kwargs: int) -> str:
@@ -15,8 +15,7 @@ def audit(data: Path, **kwargs: int) -> str:
 
 
 def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_path: Path) -> None:
-    shutil.copytree(tiny_data / "collision", tmp_path / "collision")
-    shard = next(tmp_path.rglob("shard-00001.h5"))
+    shard = copy(SPEC.directory(tiny_data), tmp_path) / "shard-00001.h5"
     shard.write_bytes(shard.read_bytes()[:1000])
     printed = train("scenario=collision", f"hydra.run.dir={tmp_path / 'run'}", data=tmp_path, code=1)
     assert "shard-00001.h5 is damaged" in printed
@@ -31,8 +30,7 @@ def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_pat
 
 def test_audit_names_what_is_wrong(tiny_data: Path, tmp_path: Path) -> None:
     """Consistent checksums do not save a dataset whose twins do not belong together, or whose states are no numbers."""
-    shutil.copytree(tiny_data / "collision", tmp_path / "collision")
-    shard = next(tmp_path.rglob("shard-00000.h5"))
+    shard = copy(SPEC.directory(tiny_data), tmp_path) / "shard-00000.h5"
     with h5py.File(shard, "r+") as file:
         file["split"][0] = 2 - file["split"][0]
         file["states"][5, 1, 7] = np.nan
