@@ -1,6 +1,9 @@
 """A participant goes through the study over HTTP: order, clock, restarts, and what is stored."""
 
+import sqlite3
 from pathlib import Path
+
+import pytest
 
 from tests.study.conftest import Site, Time, answer_to, opened, take_one
 
@@ -107,3 +110,22 @@ def test_another_size_of_the_study_does_not_take_over_its_people(site: Site) -> 
     browser = site.participant()
     site.study.sessions.study = "another"
     assert browser.get("/api/place").status_code == 401
+
+
+@pytest.mark.parametrize("deleted", [0, 1, 2])
+def test_who_is_deleted_leaves_a_place_to_the_next(site: Site, tmp_path: Path, deleted: int) -> None:
+    """As docs/study.md says it is done; so the plan stays even."""
+    people = [site.participant() for _ in range(3)]
+    for browser in people:
+        take_one(browser)
+    code = site.rows("SELECT code FROM participants ORDER BY number")[deleted][0]
+    with sqlite3.connect(tmp_path / "answers.sqlite") as db:
+        (participant,) = db.execute("SELECT id FROM participants WHERE code = ?", (code,)).fetchone()
+        for table, column in (("clicks", "participant"), ("answers", "participant"), ("participants", "id")):
+            db.execute(f"DELETE FROM {table} WHERE {column} = ?", (participant,))
+    db.close()
+    take_one(site.participant())
+    take_one(site.participant())
+    assert site.rows("SELECT number FROM participants ORDER BY number") == [(0,), (1,), (2,), (3,)]
+    assert site.rows("SELECT count(*) FROM answers WHERE answered_at IS NOT NULL") == [(4,)]
+    assert [browser.get("/api/place").status_code for browser in people].count(401) == 1

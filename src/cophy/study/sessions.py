@@ -18,6 +18,12 @@ from cophy.study.study_settings import StudySettings
 
 NUM_TOKEN_BYTES = 32
 CODE_LETTERS = "ABCDEFGHJKLMNPQRSTUVWXYZ23456789"  # none that look alike
+# the first place in the plan that nobody has: a new one, or that of a participant who was deleted
+FREE_NUMBER = """
+WITH taken AS (SELECT number FROM participants WHERE study=? AND kind=?)
+SELECT min(number) FROM (SELECT 0 AS number UNION ALL SELECT number + 1 FROM taken)
+WHERE number NOT IN (SELECT number FROM taken)
+"""
 
 
 class RefusedError(Exception):
@@ -89,7 +95,7 @@ class Sessions:
                 ).fetchone()
             ):
                 raise RefusedError(409, "This id takes part already. Go on in the browser where you began.")
-            number = db.execute("SELECT count(*) FROM participants WHERE study=? AND kind=?", of_study).fetchone()[0]
+            number = db.execute(FREE_NUMBER, of_study).fetchone()[0]
             code = "".join(secrets.choice(CODE_LETTERS) for _ in range(10))
             db.execute(
                 "INSERT INTO participants (study, kind, number, token_hash, platform_hash, code, consented_at) "
