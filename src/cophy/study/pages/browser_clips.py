@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from cophy.atomic_files import appearing_whole
+from cophy.atomic_files import appearing_whole, check_space
 from cophy.drawing.overview import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
@@ -90,14 +90,33 @@ def _png(picture: np.ndarray) -> bytes:
 
 
 def _write_clip(path: Path, frames: Iterable[np.ndarray], frame_rate_hz: int) -> None:
-    """WebM from (R, R, 3) RGB frames. OpenCV chooses the container by the name, so it writes to one of its own."""
+    """WebM from (R, R, 3) RGB frames. OpenCV chooses the container by the name, so it writes to one of its own.
+
+    Raises:
+        OSError: The disk is full.
+        CophyError: What OpenCV wrote, without a word, is not all of it.
+    """
     frames = list(frames)
     height, width = frames[0].shape[:2]
     named = path.with_suffix(".webm")
-    writer = cv2.VideoWriter(str(named), cv2.VideoWriter.fourcc(*CODEC), frame_rate_hz, (width, height))
-    if not writer.isOpened():
-        raise CophyError(f"{named}: this OpenCV writes no {CODEC} in WebM; install opencv-python-headless")
-    for frame in frames:
-        writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-    writer.release()
-    named.replace(path)
+    try:
+        writer = cv2.VideoWriter(str(named), cv2.VideoWriter.fourcc(*CODEC), frame_rate_hz, (width, height))
+        if not writer.isOpened():
+            check_space(named)
+            raise CophyError(f"{named}: this OpenCV writes no {CODEC} in WebM; install opencv-python-headless")
+        for frame in frames:
+            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+        writer.release()
+        check_space(named)
+        if (written := _count_frames(named)) != len(frames):
+            raise CophyError(f"{named}: {written} of {len(frames)} frames could be written; is there space for it?")
+        named.replace(path)
+    finally:
+        named.unlink(missing_ok=True)
+
+
+def _count_frames(path: Path) -> int:
+    video, count = cv2.VideoCapture(str(path)), 0
+    while video.grab():
+        count += 1
+    return count
