@@ -61,7 +61,10 @@ class ComposedChoices:
 
     def dataset(self, scenario: str, num_objects: int, size: str) -> States:
         """The dataset that runs of this scenario and size use."""
-        chosen = to_config(composed("generate", f"scenario={scenario}", f"size={size}"), GenerateConfig)
+        try:
+            chosen = to_config(composed("generate", f"scenario={scenario}", f"size={size}"), GenerateConfig)
+        except (HydraException, OmegaConfBaseException) as error:
+            raise CophyError(explain(error)) from error
         (states,) = generated_by(replace(chosen, num_objects=[num_objects], data_dir=str(self.data_dir)))
         return states
 

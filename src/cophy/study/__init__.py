@@ -4,6 +4,7 @@ study_settings: what a study is, and its name.
 plan: which experiments a participant sees, in which setting and order.
 answers: what a person says of one experiment, checked.
 answer_store: one SQLite file with participants, answers and clicks.
+answer_tables: its tables, and whether a file is such a one.
 sessions: where a participant is, and what may come next.
 experiments: the experiments of a study, and who sees which.
 scenes: what C shows of every object, and where objects end in the picture.

@@ -5,6 +5,7 @@ import json
 from dataclasses import asdict, dataclass
 
 SETTINGS = ("non_cf", "cf")  # C alone; AB beside C
+MIN_RESOLUTION, MAX_RESOLUTION = 64, 1024
 
 
 @dataclass
@@ -30,8 +31,7 @@ class StudySettings:
             )
         if not (self.seconds > 0 and self.tolerance_s >= 0 and self.seed >= 0):
             raise ValueError("study: seconds must be positive, tolerance_s and seed must not be negative")
-        if not 64 <= self.resolution <= 1024:
-            raise ValueError(f"study.resolution={self.resolution} must be between 64 and 1024 pixels")
+        check_resolution(self.resolution)
 
     @property
     def num_per_person(self) -> int:
@@ -47,6 +47,17 @@ class StudySettings:
         """
         text = json.dumps({"data": data_id, "split": split, **asdict(self)}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def check_resolution(resolution: int) -> None:
+    """Refuse pictures that are too small to be seen, or too large to be sent.
+
+    Raises:
+        ValueError: They are.
+    """
+    if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
+        said = f"must be between {MIN_RESOLUTION} and {MAX_RESOLUTION} pixels"
+        raise ValueError(f"study.resolution={resolution} {said}")
 
 
 @dataclass

@@ -15,7 +15,8 @@ from cophy.report.people.study_figures import draw_studies
 from cophy.report.people.study_tables import of_people, study_tables
 from cophy.report.tables.filled_tables import fill
 from cophy.report.tables.paper_tables import paper_tables
-from cophy.study.answer_store import SCHEMA, AnswerStore
+from cophy.study.answer_store import AnswerStore
+from cophy.study.answer_tables import SCHEMA
 from cophy.study.results.judging import human_rows
 from tests.conftest import tiny_spec
 
@@ -106,6 +107,20 @@ def test_answers_without_their_data_are_named(
     assert reason in " ".join(caplog.text.split())
 
 
+@pytest.mark.parametrize("kind", ["../x", "a/b", ""])
+def test_figures_are_called_by_no_path(
+    kind: str, tiny_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "study" / "x" / "answers.sqlite"
+    write_answers(path, description(States(tiny_spec("blocktower"), tiny_data).id))
+    with sqlite3.connect(path) as db:
+        db.execute("UPDATE participants SET kind=?", (kind,))
+    db.close()
+    with caplog.at_level(logging.INFO):
+        assert read_answers(tmp_path, ComposedChoices("generated", tiny_data)) == []
+    assert "left out" in caplog.text
+
+
 @pytest.mark.parametrize("content", [b"", b"no database" * 100, SCHEMA.encode()])
 def test_strange_files_are_named(
     content: bytes, tiny_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
@@ -118,7 +133,18 @@ def test_strange_files_are_named(
     assert "left out" in caplog.text
 
 
-@pytest.mark.parametrize("said", ["[]", "{", "null", '{"scenario": 3}', '{"scenario": "nothing"}'])
+WHOLE = '{"scenario": "blocktower", "split": "3to3", "num_objects": 3, "size": "tiny", "data": "x", "resolution": 64}'
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        *("[]", "{", "null", '{"scenario": 3}', '{"scenario": "nothing"}', "[" * 100_000),
+        *(WHOLE.replace("blocktower", name) for name in ("nothing", "../x", "x y", "${data_dir}")),
+        *(WHOLE.replace("3to3", "../x"), WHOLE.replace("tiny", "nothing"), WHOLE.replace("3,", "1e400,")),
+        *(WHOLE.replace("64", size) for size in ("0", "1e9", "NaN")),
+    ],
+)
 def test_strange_descriptions_are_named(
     said: str, tiny_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -2,22 +2,23 @@
 
 import json
 import logging
-import sqlite3
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from cophy.errors import CophyError
+from cophy.errors import CophyError, check_name
 from cophy.report.choices import Choices
 from cophy.report.tables.terminal_tables import notice
-from cophy.study.results.answer_file import read_clicks
+from cophy.study.results.answer_file import read_clicks, read_descriptions
 from cophy.study.results.judging import human_rows, judge
 from cophy.study.scenes import Scenes
+from cophy.study.study_settings import check_resolution
 
 FILES = ("answers.sqlite", "simulated.sqlite")
+# what comes of a description that study.py did not write
+STRANGE = (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError)
 log = logging.getLogger(__name__)
 
 
@@ -54,23 +55,12 @@ def read_answers(outputs: Path, choices: Choices) -> list[StudyAnswers]:
     found = []
     for path in sorted(path for name in FILES for path in (outputs / "study").glob(f"*/{name}")):
         try:
-            for study, description in _studies(path):
-                found += _judged(path, study, description, choices)
-        except (sqlite3.Error, ValueError, TypeError, KeyError, AttributeError, CophyError) as error:
+            for study, description in read_descriptions(path).items():
+                found += _judged(path, study, json.loads(description), choices)
+        except (*STRANGE, CophyError) as error:
             said = str(error) if isinstance(error, CophyError) else "no file of answers that study.py wrote"
             log.info(notice(f"{path} is left out: {said}"))
     return found
-
-
-def _studies(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Name and description of every study in a file, which is only read."""
-    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
-    try:
-        rows = connection.execute("SELECT study, description FROM studies ORDER BY study").fetchall()
-    finally:
-        connection.close()
-    for study, description in rows:
-        yield study, json.loads(description)
 
 
 def _judged(path: Path, study: str, said: dict[str, Any], choices: Choices) -> list[StudyAnswers]:
@@ -78,6 +68,9 @@ def _judged(path: Path, study: str, said: dict[str, Any], choices: Choices) -> l
     clicks = read_clicks(path, study)
     if clicks.empty:
         return []
+    for name in (said["scenario"], said["split"], *clicks["kind"].unique()):  # figures are called by them
+        check_name("study", name)
+    check_resolution(int(said["resolution"]))
     states = choices.dataset(said["scenario"], int(said["num_objects"]), said["size"])
     if states.id != said["data"] or not states.is_finished():
         raise CophyError(f"its data, {said['scenario']}/{said['data']}, are not there")
