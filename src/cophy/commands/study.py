@@ -5,6 +5,7 @@ import io
 import logging
 import math
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from cophy.app.composition import CONF, to_config
 from cophy.app.datasets import generated_by
 from cophy.app.schemas.registration import register
 from cophy.app.schemas.study_command import ACTIONS, StudyConfig
-from cophy.atomic_files import write_atomically
+from cophy.atomic_files import appearing_whole, read_plain, write_atomically
 from cophy.dataset import generation
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
@@ -88,27 +89,30 @@ def _export(settings: StudyConfig, states: States) -> None:
 
 
 def _simulate(settings: StudyConfig, states: States) -> None:
-    """Simulated participants take the study; their answers have a file of their own, which is made anew."""
+    """Simulated participants take the study; their answers have a file of their own, which is made anew.
+
+    The one before is there until the new one is whole.
+    """
     from cophy.study.answer_store import AnswerStore
-    from cophy.study.pages.serving import open_study
+    from cophy.study.answer_tables import naming, remove_journal
+    from cophy.study.pages.serving import alone, open_study
     from cophy.study.results.judging import human_rows
     from cophy.study.simulation.strategies import STRATEGIES
     from cophy.study.simulation.visits import take_study
 
     logging.getLogger("httpx").setLevel(logging.WARNING)  # says every request otherwise
-    directory = Path(settings.directory)
-    path = directory / SIMULATED
-    for old in directory.glob(f"{SIMULATED}*"):
-        old.unlink()
-    store = AnswerStore(path)
+    directory, welcome = Path(settings.directory), _welcome(settings)
+    path, chosen = directory / SIMULATED, (settings.split, settings.study, directory)
     first, *_ = STRATEGIES
-    study = open_study(store, states, settings.split, settings.study, directory, kind=first, workers=settings.workers)
-    for number, (kind, strategy) in enumerate(STRATEGIES.items()):
-        of_kind = replace(study, sessions=study.sessions.of_kind(kind))
-        app = of_kind.app(_welcome(settings), settings.limits)
-        seed = len(STRATEGIES) * settings.study.seed + number
-        take_study(of_kind, app, strategy, participants=settings.participants, seed=seed)
-    store.close()
+    with alone(path), naming(path), appearing_whole(path) as new:
+        with closing(AnswerStore(new)) as store:
+            study = open_study(store, states, *chosen, kind=first, workers=settings.workers)
+            for number, (kind, strategy) in enumerate(STRATEGIES.items()):
+                of_kind = replace(study, sessions=study.sessions.of_kind(kind))
+                app = of_kind.app(welcome, settings.limits)
+                seed = len(STRATEGIES) * settings.study.seed + number
+                take_study(of_kind, app, strategy, participants=settings.participants, seed=seed)
+        remove_journal(path)
     _, judged = _judged(path, settings, states)
     log.info("%s\nanswers: %s", human_rows(judged).round(2).to_string(), path)
 
@@ -148,7 +152,12 @@ def _judged(path: Path, settings: StudyConfig, states: States) -> "tuple[pd.Data
 
 
 def _welcome(settings: StudyConfig) -> str | None:
-    return None if settings.welcome is None else Path(settings.welcome).read_text()
+    if settings.welcome is None:
+        return None
+    try:
+        return read_plain(Path(settings.welcome)).decode()
+    except UnicodeDecodeError as error:
+        raise CophyError(f"welcome={settings.welcome} is no text: save it as UTF-8 ({error.reason})") from None
 
 
 def run() -> None:

@@ -1,7 +1,7 @@
 """Everything a study needs, put together, and served."""
 
+import errno
 import math
-import os
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -86,18 +86,21 @@ def listening(host: str, port: int) -> socket.socket:
     """A socket that listens there.
 
     Raises:
-        CophyError: Another program does, or the address is none of this machine's.
+        CophyError: Another program does, or the address is none, or none of this machine's.
     """
     try:
         return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
-    except OSError as error:
-        why = os.strerror(error.errno) if error.errno is not None else str(error)
-        raise CophyError(f"host={host} port={port}: {why}; port={port + 1} may be free") from None
+    except TypeError:
+        raise CophyError(f"host={host}: this is no name of a host") from None
+    except OSError as error:  # create_server says where it was met, too
+        why = str(error.strerror or error).partition(" (while")[0]
+        free = f"; port={port + 1} may be free" if error.errno == errno.EADDRINUSE else ""
+        raise CophyError(f"host={host} port={port}: {why}{free}") from None
 
 
 @contextmanager
 def alone(answers: Path) -> Iterator[None]:
-    """While one process serves a file of answers, no other does: each would count participants for itself.
+    """While one process writes a file of answers, no other does: each would count participants for itself.
 
     Raises:
         CophyError: Another does.
@@ -107,7 +110,7 @@ def alone(answers: Path) -> Iterator[None]:
         with FileLock(f"{answers}.lock", timeout=0):
             yield
     except Timeout:
-        raise CophyError(f"{answers} is being served by another process: directory= names another folder") from None
+        raise CophyError(f"{answers} is being written by another process: directory= names another folder") from None
 
 
 def serve(app: Starlette, listener: socket.socket, trusted_proxies: str) -> None:
