@@ -69,8 +69,9 @@ def attack(whole: Path, world: Path, choices: ComposedChoices, caplog: pytest.Lo
         try:
             use(path)
         except CophyError as error:
-            assert str(path) in str(error)
-            assert "\n" not in str(error)
+            wrong = str(error)
+            assert str(path) in wrong
+            assert "\n" not in wrong
             assert content(path) == before
     assert len(found) + said.count("left out") >= 1
     assert not list(world.rglob("executed"))
