@@ -55,7 +55,7 @@ def naming(path: Path) -> Iterator[None]:
         raise damaged(path, "it is no plain file")
     try:
         yield
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the second where it names what is no text
         check_space(path)
         raise damaged(path, error) from error
 
