@@ -168,3 +168,38 @@ def test_a_browser_that_comes_back_goes_on(page: Page, served: tuple[Site, str])
     page.wait_for_selector(".say strong", timeout=20_000)  # no consent, no Ready: the clock runs on
     assert page.locator(".count").inner_text() == "Practice 1 of 2"
     assert site.rows("SELECT count(*) FROM participants") == [(1,)]
+
+
+def test_an_answer_that_cannot_be_stored_is_told_and_sent_again(page: Page, served: tuple[Site, str]) -> None:
+    site, address = served
+    begun = time.time()
+    site.study.sessions.now = lambda: begun  # no answer is late
+    page.goto(address)
+    press(page, "text=I agree, begin", "mouse")
+    press(page, "button:has-text('Ready')", "mouse")
+    page.wait_for_selector(".say strong", timeout=20_000)
+    with site.store.transaction() as db:
+        pass
+    db.execute("PRAGMA query_only=ON")
+    page.locator("text=Your answer could not be stored yet").wait_for(timeout=40_000)
+    db.execute("PRAGMA query_only=OFF")
+    press(page, "button:has-text('Try again')", "mouse")
+    page.locator("text=the large circles show").wait_for()
+    assert site.rows("SELECT late FROM answers WHERE answered_at IS NOT NULL") == [(0,)]
+
+
+@pytest.mark.parametrize("how", ["no connection", "no JSON"])
+def test_a_server_that_is_away_is_told(page: Page, served: tuple[Site, str], how: str) -> None:
+    _, address = served
+    page.goto(address)
+    page.locator("text=I agree, begin").wait_for()
+    page.route(
+        "**/api/*", lambda route: route.abort() if how == "no connection" else route.fulfill(status=502, body="<")
+    )
+    press(page, "text=I agree, begin", "mouse")
+    page.locator("body.offline").wait_for()
+    page.locator("text=The server does not answer. Please load this page again").wait_for(timeout=40_000)
+    assert page.locator("body.offline").count() == 0
+    page.unroute("**/api/*")
+    page.reload()
+    page.locator("text=I agree, begin").wait_for()

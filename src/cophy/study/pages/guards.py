@@ -1,6 +1,8 @@
 """What every answer of the server carries, and what no browser may exceed."""
 
 import json
+import logging
+import sqlite3
 import time
 from collections import OrderedDict
 from collections.abc import Callable
@@ -29,6 +31,8 @@ HEADERS = {
     "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
     "Cache-Control": "no-store",
 }
+FAILED = "This did not work on the server. Please load this page again in a minute."
+log = logging.getLogger(__name__)
 
 
 class Rate:
@@ -50,7 +54,7 @@ class Rate:
 
 
 class Guards:
-    """ASGI middleware: limits first, then the page, with its headers."""
+    """ASGI middleware: limits first, then the page, with its headers; where the page fails, JSON that says so."""
 
     def __init__(self, app: ASGIApp, requests_per_second: float) -> None:
         self._app, self._rate = app, Rate(requests_per_second, BURST_S * requests_per_second)
@@ -60,8 +64,12 @@ class Guards:
             await self._app(scope, receive, send)
             return
 
+        begun = False
+
         async def with_headers(message: Message) -> None:
+            nonlocal begun
             if message["type"] == "http.response.start":
+                begun = True
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers[name] = value
@@ -73,7 +81,21 @@ class Guards:
         elif len(scope.get("raw_path", b"")) + len(scope["query_string"]) > MAX_PATH_BYTES:
             await JSONResponse({"error": "The address is too long."}, 414)(scope, receive, with_headers)
         else:
-            await self._app(scope, receive, with_headers)
+            try:
+                await self._app(scope, receive, with_headers)
+            except Exception as error:
+                if begun:
+                    raise
+                await JSONResponse({"error": FAILED}, _logged(scope, error))(scope, receive, with_headers)
+
+
+def _logged(scope: Scope, error: Exception) -> int:
+    """The status of HTTP of an error, which is told to the person at the terminal alone."""
+    if isinstance(error, sqlite3.Error):  # a full disk, a file that somebody locks
+        log.error("%s %r: the file of answers: %s", scope["method"], scope["path"], error)
+        return 503
+    log.error("%s %r", scope["method"], scope["path"], exc_info=error)
+    return 500
 
 
 async def json_of(request: Request) -> Any:
@@ -83,7 +105,7 @@ async def json_of(request: Request) -> Any:
         RefusedError: it is too large, no JSON, or comes from another site.
     """
     origin = request.headers.get("origin")
-    if origin is not None and urlsplit(origin).netloc != request.headers.get("host"):
+    if origin is not None and not _is_of(request.headers.get("host"), origin):
         raise RefusedError(403, "This request comes from another site.")
     if request.headers.get("content-type", "").split(";")[0] != "application/json":
         raise RefusedError(415, "This is no JSON.")
@@ -96,6 +118,13 @@ async def json_of(request: Request) -> Any:
         return json.loads(body, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise RefusedError(400, "This is no JSON.") from error
+
+
+def _is_of(host: str | None, origin: str) -> bool:
+    try:
+        return urlsplit(origin).netloc == host
+    except ValueError:  # no address
+        return False
 
 
 def _refuse_constant(name: str) -> Any:

@@ -1,5 +1,6 @@
 """The pages of a study and their addresses. Of experiments, only what the participant's own place allows is ever sent."""
 
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ WEB = Path(__file__).parents[1] / "web"
 COOKIE = "cophy_study"
 COOKIE_AGE_S = 7 * 24 * 3600
 MAX_PLATFORM_ID = 128  # letters
+SURROGATE = re.compile("[\ud800-\udfff]")
 KINDS = {"picture": (PICTURE, "image/png"), "clip": (CLIP, "video/webm")}
 
 
@@ -75,7 +77,7 @@ class _Pages:
         if not isinstance(body, dict) or body.get("agreed") is not True or set(body) - {"agreed", "platform_id"}:
             raise RefusedError(400, "Nothing begins without consent.")
         platform_id = body.get("platform_id")
-        if platform_id is not None and not (isinstance(platform_id, str) and 1 <= len(platform_id) <= MAX_PLATFORM_ID):
+        if platform_id is not None and not _is_platform_id(platform_id):
             raise RefusedError(400, "This is no id of a platform.")
         token = request.cookies.get(COOKIE)
         try:
@@ -138,6 +140,11 @@ class _Pages:
             "picture": f"/media/{place.position}/picture",
             "clip": f"/media/{place.position}/clip" if has_clip else None,
         }
+
+
+def _is_platform_id(value: Any) -> bool:
+    """Text of some letters; JSON may hold halves of letters, which no address does."""
+    return isinstance(value, str) and 1 <= len(value) <= MAX_PLATFORM_ID and not SURROGATE.search(value)
 
 
 async def _refused(request: Request, error: RefusedError) -> Response:

@@ -54,7 +54,12 @@ export class PlaceObjectsPlugin {
     if (this.task.clip) await this.#watch();
     await this.#run();
     if (this.expired) return this.#end(false);
-    const { status, said } = await server.answer(this.task.position, this.#content());
+    const content = this.#content();
+    let { status, said } = await server.answer(this.task.position, content);
+    while (server.isBusy(status)) {
+      await this.#told("Your answer could not be stored yet. Please try again.", "Try again");
+      ({ status, said } = await server.answer(this.task.position, content));
+    }
     if (said.ends) await this.#compare(said.ends);
     this.#end(status === 200);
   }
@@ -235,13 +240,19 @@ export class PlaceObjectsPlugin {
     this.board.drawEnds(this.task.objects, this.clicks, ends);
     const marks = this.clicks.size ? " Your marks are joined to them." : "";
     const over = this.#next() ? "Time is up. " : "";
-    this.part(".say").textContent = `${over}Practice: the large circles show where the objects ended.${marks}`;
+    await this.#told(`${over}Practice: the large circles show where the objects ended.${marks}`, "Continue");
+  }
+
+  // Until the person presses the one button that is left.
+  async #told(text, choice) {
+    this.part(".say").textContent = text;
     this.part(".clock").hidden = this.part(".keys").hidden = true;
     for (const item of this.part(".objects").children) item.classList.remove("next");
     this.part(".undo").hidden = this.part(".label").hidden = true;
     const button = this.part(".done");
-    Object.assign(button, { disabled: false, textContent: "Continue" });
+    Object.assign(button, { disabled: false, textContent: choice });
     button.focus();
     await new Promise((done) => button.addEventListener("click", done, { once: true }));
+    button.disabled = true;
   }
 }

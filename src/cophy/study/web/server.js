@@ -1,21 +1,29 @@
 // What the page asks of the server. A request that fails for want of a connection is tried again.
 
 const PAUSES_MS = [300, 1000, 2000, 4000, 8000];
+const SILENT = { status: 0, said: { error: "The server does not answer. Please load this page again in a minute." } };
+
+// Whether the same request may do later, for nothing was wrong with it.
+export const isBusy = (status) => status === 0 || status === 429 || status >= 500;
+
+// What is no JSON is not of our server, but of one in front of it, which cannot reach ours.
+async function askOnce(path, options) {
+  try {
+    const response = await fetch(path, options);
+    return { status: response.status, said: await response.json() };
+  } catch (error) {
+    return SILENT;
+  }
+}
 
 async function ask(path, body) {
   const options = body === undefined ? {} : {
     method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body),
   };
   for (const pause of [...PAUSES_MS, null]) {
-    let response = null;
-    try {
-      response = await fetch(path, options);
-    } catch (error) {
-      if (pause === null) throw error;
-    }
-    document.body.classList.toggle("offline", response === null);
-    const busy = response === null || response.status === 429 || response.status >= 500;
-    if (!busy || pause === null) return { status: response.status, said: await response.json() };
+    const answered = await askOnce(path, options);
+    document.body.classList.toggle("offline", answered === SILENT && pause !== null);
+    if (!isBusy(answered.status) || pause === null) return answered;
     await new Promise((done) => setTimeout(done, pause));
   }
 }

@@ -11,9 +11,11 @@ const address = new URLSearchParams(window.location.search);
 const platformId = PLATFORM_KEYS.map((key) => address.get(key)).find(Boolean) ?? null;
 const jsPsych = initJsPsych({ display_element: "study" });
 
-let first = await server.place();
+const [first, opening] = [await server.place(), await server.welcome()];
 let place = first.status === 200 ? first.said : null; // null before consent
 let failure = null;
+if (opening.status !== 200) failure = opening.said.error;
+if (first.status !== 200 && first.status !== 401) failure = first.said.error;
 
 const text = (html, choices) => ({ type: jsPsychHtmlButtonResponse, stimulus: html, choices });
 const later = (work) => ({ type: jsPsychCallFunction, async: true, func: (done) => work().then(done) });
@@ -34,10 +36,10 @@ const running = () => failure === null && place !== null && !place.code;
 
 const welcome = {
   timeline: [
-    text(`<article class="text">${(await server.welcome()).said.html}</article>`, ["I agree, begin"]),
+    text(`<article class="text">${opening.said.html}</article>`, ["I agree, begin"]),
     later(begin),
   ],
-  conditional_function: () => place === null,
+  conditional_function: () => place === null && failure === null,
 };
 
 const gate = {
