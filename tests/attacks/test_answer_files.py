@@ -20,6 +20,7 @@ from cophy.report.people.study_answers import read_answers
 from cophy.report.people.study_figures import draw_studies
 from cophy.report.people.study_tables import study_tables
 from cophy.study.answer_store import AnswerStore
+from cophy.study.answer_tables import naming
 from cophy.study.results.answer_file import read_clicks, read_participants
 from tests.attacks.faults import FAULTS
 from tests.attacks.often import often
@@ -96,3 +97,9 @@ def test_many_wrong_files_of_answers_are_named_or_do_no_harm(
     whole: Path, choices: ComposedChoices, tmp_path: Path, caplog: pytest.LogCaptureFixture, attacks: int
 ) -> None:
     often(40 * attacks, lambda draw: attack(whole, tmp_path / "world", choices, caplog, draw))
+
+
+def test_a_file_in_use_is_not_taken_for_a_damaged_one(tmp_path: Path) -> None:
+    path = tmp_path / "answers.sqlite"
+    with pytest.raises(CophyError, match=r"answers.sqlite is in use by another program"), naming(path):
+        raise sqlite3.OperationalError("database is locked")

@@ -48,7 +48,7 @@ def naming(path: Path) -> Iterator[None]:
     """What SQLite cannot do inside is said with the name of the file.
 
     Raises:
-        CophyError: The file is none of answers, or damaged.
+        CophyError: The file is none of answers, damaged, or in use.
         OSError: The disk is full.
     """
     if path.exists() and not path.is_file():
@@ -57,6 +57,8 @@ def naming(path: Path) -> Iterator[None]:
         yield
     except (sqlite3.Error, UnicodeDecodeError) as error:  # the second where it names what is no text
         check_space(path)
+        if "locked" in str(error):
+            raise CophyError(f"{path} is in use by another program: end that, or try again") from error
         raise damaged(path, error) from error
 
 
