@@ -43,8 +43,13 @@ class Derenderer(nn.Module):
             width: Channels of the first double convolution (paper: 64). The second has twice as many, the third four
                 times as many, rounded up to a multiple of K.
             readout: How the heads find positions: a value of `Readout`.
+
+        Raises:
+            ValueError: The resolution is another.
         """
         super().__init__()
+        if resolution < 8 or resolution % 4:
+            raise ValueError(f"resolution={resolution} is no multiple of 4, at least 8")
         num_slots, self.resolution = len(slots), resolution
         channels = -(-4 * width // num_slots) * num_slots
         self.features = nn.Sequential(
@@ -113,7 +118,8 @@ class AttentionReadout(nn.Module):
         self.normalise = nn.BatchNorm1d(num_slots, affine=False)
         self.sharpness = nn.Parameter(torch.full((num_slots, 1), 3.0))
         self.geometry = mlp(NUM_APPEARANCE_FEATURES + 2, 64, 3, output_dim=4)
-        along = torch.linspace(-5, 5, edge)  # objects then spread by about one
+        # objects then spread by about one; on the CPU also for a network without memory (`meta`), where it takes seconds
+        along = torch.linspace(-5, 5, edge, device="cpu")
         self.register_buffer("coordinates", torch.cartesian_prod(along, along), persistent=False)
 
     def forward(self, features: Float[Tensor, "batch channels edge edge"]) -> Float[Tensor, "batch slots 4"]:

@@ -2,6 +2,8 @@
 
 import errno
 import os
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -59,3 +61,27 @@ def test_what_is_larger_than_any_checkpoint_is_not_read(tmp_path: Path) -> None:
     os.truncate(path, 2**40)  # nothing of it lies on the disk
     with pytest.raises(CophyError, match=r"best\.ckpt is no checkpoint of train\.py: it is larger than 4 GiB"):
         read_bytes(path)
+
+
+def compressed(path: Path, to: Path) -> None:
+    with zipfile.ZipFile(path) as stored, zipfile.ZipFile(to, "w", zipfile.ZIP_DEFLATED) as archive:
+        for entry in stored.infolist():
+            archive.writestr(entry.filename, stored.read(entry))
+
+
+def overlapping(path: Path, to: Path) -> None:
+    """Every part of the checkpoint a hundred times in its list of contents, but once in the file."""
+    to.write_bytes(path.read_bytes())
+    with zipfile.ZipFile(to, "a") as archive:
+        archive.filelist *= 100
+        archive._didModify = True
+
+
+@pytest.mark.parametrize("grow", [compressed, overlapping])
+def test_what_would_grow_when_it_is_read_is_refused(tmp_path: Path, grow: Callable[[Path, Path], None]) -> None:
+    WholeCheckpoints(ORIGIN).save_checkpoint({"weights": torch.zeros(3000)}, tmp_path / "best.ckpt")
+    grow(tmp_path / "best.ckpt", tmp_path / "grows.ckpt")
+    with pytest.raises(
+        CophyError, match=r"grows\.ckpt is no checkpoint of train\.py: it is compressed, or its parts ov"
+    ):
+        WholeCheckpoints(ORIGIN).load_checkpoint(tmp_path / "grows.ckpt", weights_only=True)

@@ -1,10 +1,12 @@
 """Networks from the names of their classes: what is refused, and that nothing nested is made."""
 
 import pytest
-from torch import nn
+import torch
+from torch import Tensor, nn
 
 from cophy.errors import CophyError
-from cophy.training.trained.network import build_network
+from cophy.training.trained.network import build_network, restore_network
+from tests.training.trained.saved import model_of
 
 
 class Keeps(nn.Module):
@@ -26,8 +28,8 @@ def test_nothing_nested_is_made() -> None:
     assert network.given == nested
 
 
-@pytest.mark.parametrize("special", ["_args_", "_partial_", "_recursive_", "_convert_"])
-def test_keys_that_hydra_would_obey_are_refused(special: str) -> None:
+@pytest.mark.parametrize("special", ["_args_", "_partial_", "_recursive_", "_convert_", 5])
+def test_keys_that_hydra_would_obey_are_refused(special: object) -> None:
     with pytest.raises(CophyError, match=f"model.{special} is no argument of a network"):
         build_network({"_target_": "cophy.models.baselines.CopyC", special: True})
 
@@ -44,3 +46,44 @@ class Fails(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.share = 1 / 0
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    ["cophynet", "cophynet ablation=mlp", "cophynet ablation=single_step", "in", "npe", "alongside", "copy_c"]
+    + [f"derenderer model.readout={readout}" for readout in ("attention", "linear")],
+)
+def test_a_restored_network_is_the_one_that_was_saved(chosen: str) -> None:
+    """Also what of it is not saved."""
+    model = model_of(*f"model={chosen}".split())
+    network = build_network(model)
+    restored = restore_network(model, network.state_dict())
+    for saved, found in zip(everything(network), everything(restored), strict=True):
+        assert torch.equal(saved, found)
+
+
+def everything(network: nn.Module) -> list[Tensor]:
+    return [*network.parameters(), *network.buffers()]
+
+
+def wide(hidden_dim: int) -> dict[str, object]:
+    return model_of("model=in") | {"hidden_dim": hidden_dim}
+
+
+@pytest.mark.parametrize(("hidden_dim", "message"), [(10**9, "is not from 1 to 16384"), (2**14, "does not fit")])
+def test_weights_are_compared_before_anything_is_allocated(
+    hidden_dim: int, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few, made = build_network(wide(8)).state_dict(), []
+    monkeypatch.setattr(nn.Linear, "reset_parameters", lambda layer: made.append(layer.weight.device.type))
+    with pytest.raises(CophyError, match=message):
+        restore_network(wide(hidden_dim), few)
+    assert set(made) <= {"meta"}
+
+
+def test_weights_that_repeat_a_number_are_not_allocated() -> None:
+    with torch.device("meta"):
+        shapes = {key: value.shape for key, value in build_network(wide(2**14)).state_dict().items()}
+    for number in (torch.zeros(1), torch.zeros(1, device="meta")):
+        with pytest.raises(CophyError, match="its weights repeat a few numbers"):
+            restore_network(wide(2**14), {key: number.expand(shape) for key, shape in shapes.items()})

@@ -4,21 +4,28 @@ import io
 import pickle
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
 from lightning.fabric.plugins.io.torch_io import TorchCheckpointIO
+from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor
 
 from cophy.atomic_files import write_atomically
 from cophy.errors import CophyError
+from cophy.training.trained.plain_values import check_plain
 
 ORIGIN = "origin"  # the key under which a checkpoint says what it is
 MAX_BYTES = 4 << 30  # ours: a predictor has a megabyte, the paper's de-renderer some hundred
 OF_NETWORK = "network."  # how the names of the network's weights start
-ERRORS = (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, AttributeError, IndexError, EOFError, ValueError)
+# what is raised where values do not fit; anything else is a fault of the code, or of the machine
+MISFITS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+ERRORS = (*MISFITS, pickle.UnpicklingError, EOFError, MemoryError)  # of what torch cannot read
+MAX_CHARACTERS = 300  # of what is said of an error
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,8 @@ class Origin:
         for part in parts:
             if not isinstance(part, dict):
                 raise TypeError(f"{part} is no dictionary")
+        if not isinstance(self.num_objects, list | None) or not isinstance(self.trained_on, list):
+            raise TypeError("num_objects or trained_on is no list")
         self.model["_target_"], self.scenario["name"], self.split["name"]
 
 
@@ -108,13 +117,16 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_whole(content: bytes, source: Path) -> None:
-    """Compare the checksums (CRC-32) that torch stored with what is there.
+    """Compare the checksums (CRC-32) that torch stored with what is there. It compresses nothing.
 
     Raises:
-        CophyError: They differ; the message names `source`.
+        CophyError: They differ, or the file would grow when it is read; the message names `source`.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            entries = archive.infolist()
+            if any(each.compress_type != zipfile.ZIP_STORED for each in entries) or _size(entries) > len(content):
+                raise CophyError(f"{source} is no checkpoint of train.py: it is compressed, or its parts overlap")
             damaged = archive.testzip()
     except (*ERRORS, zipfile.BadZipFile, OSError, zlib.error) as error:
         raise CophyError(f"{source} is no checkpoint of train.py, or a damaged one ({error})") from error
@@ -131,9 +143,34 @@ def read_checkpoint(content: bytes, source: Path) -> Checkpoint:
     check_whole(content, source)
     try:
         saved = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-        origin, weights = Origin(**saved[ORIGIN]), dict(saved["state_dict"])
+        said, weights = saved[ORIGIN], dict(saved["state_dict"])
+        of_network = {key: value for key, value in weights.items() if key.startswith(OF_NETWORK)}
     except ERRORS as error:
         raise CophyError(f"{source} is no checkpoint of train.py, or a damaged one") from error
-    of_network = {key: value for key, value in weights.items() if key.startswith(OF_NETWORK)}
+    with made_from(source):
+        check_plain(said)
+        origin = Origin(**said)
     network = {key.removeprefix(OF_NETWORK): value for key, value in of_network.items()}
     return Checkpoint(origin, network, has_optimizer="optimizer_states" in saved)
+
+
+@contextmanager
+def made_from(source: Path) -> Iterator[None]:
+    """Around what is made from what a checkpoint says, and nothing else: where it says nonsense, it is named.
+
+    Raises:
+        CophyError: It does not fit what is made from it.
+    """
+    try:
+        yield
+    except (*MISFITS, CophyError, OmegaConfBaseException) as error:
+        what = "a key is missing: " if type(error) is KeyError else ""
+        why = (str(error) or type(error).__name__).splitlines()[0][:MAX_CHARACTERS]
+        raise CophyError(
+            f"{source} is no checkpoint of train.py, or of another version of cophy ({what}{why}): take another, or "
+            "train again"
+        ) from error
+
+
+def _size(entries: list[zipfile.ZipInfo]) -> int:
+    return sum(each.file_size for each in entries)

@@ -3,11 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
+import torch
 from hydra.errors import InstantiationException
 from hydra.utils import get_class, instantiate
-from torch import nn
+from torch import Tensor, nn
 
 from cophy.errors import CophyError
+
+MOST = 1 << 14  # ours: layers as wide as this do not fit into a checkpoint of 4 GiB, and nothing is so deep
 
 
 def build_network(model: Mapping[str, Any]) -> nn.Module:
@@ -21,7 +24,7 @@ def build_network(model: Mapping[str, Any]) -> nn.Module:
     target, arguments = model.get("_target_"), {key: value for key, value in model.items() if key != "_target_"}
     if target is None:
         raise CophyError("model._target_ is missing: it names the class of the model")
-    if special := [key for key in arguments if key.startswith("_")]:
+    if special := [key for key in arguments if not isinstance(key, str) or key.startswith("_")]:
         raise CophyError(f"model.{special[0]} is no argument of a network")
     if not issubclass(_class_named(str(target)), nn.Module):
         raise CophyError(f"model._target_={target} is not a torch.nn.Module")
@@ -33,6 +36,40 @@ def build_network(model: Mapping[str, Any]) -> nn.Module:
         if isinstance(error.__cause__, MemoryError | RuntimeError) and "memory" in str(error.__cause__).lower():
             raise CophyError(f"model: there is no memory for a network of this size; see {target}") from error
         raise error.__cause__ or error from None
+
+
+def restore_network(model: Mapping[str, Any], weights: Mapping[str, Tensor]) -> nn.Module:
+    """The network of a checkpoint, one of cophy.models, with its weights.
+
+    It takes no more memory than the checkpoint: shapes are compared with those of a network that has none (`meta`).
+
+    Raises:
+        CophyError: The weights are not those of this network as it is now.
+    """
+    target = model["_target_"]
+    for key, value in model.items():
+        if isinstance(value, int) and not isinstance(value, bool) and not 0 < value <= MOST:
+            raise CophyError(f"model.{key}={value} is not from 1 to {MOST}")
+    with torch.device("meta"):
+        wanted = {key: value.shape for key, value in build_network(model).state_dict().items()}
+    shapes = {key: value.shape for key, value in weights.items()}
+    if differing := sorted(key for key in wanted.keys() | shapes.keys() if wanted.get(key) != shapes.get(key)):
+        raise CophyError(f"{differing[0]} does not fit {target} as it is now")
+    if sum(map(_num_bytes, weights.values())) > 2 * _num_bytes_held(weights):  # a few may be shared
+        raise CophyError("its weights repeat a few numbers")
+    network = build_network(model)
+    network.load_state_dict(weights)
+    return network
+
+
+def _num_bytes(weight: Tensor) -> int:
+    return weight.numel() * weight.element_size()
+
+
+def _num_bytes_held(weights: Mapping[str, Tensor]) -> int:
+    """What lies in memory: of an expanded tensor one number, of one on `meta` nothing."""
+    storages = [weight.untyped_storage() for weight in weights.values() if not weight.is_meta]
+    return sum({storage.data_ptr(): storage.nbytes() for storage in storages}.values())
 
 
 def _class_named(target: str) -> type:

@@ -14,8 +14,8 @@ from cophy.dataset.store.experiment_set import ExperimentSet
 from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.scenario.rendering.frames import Backend, RenderSettings
-from cophy.training.trained.checkpoints import read_bytes, read_checkpoint
-from cophy.training.trained.network import build_network
+from cophy.training.trained.checkpoints import made_from, read_bytes, read_checkpoint
+from cophy.training.trained.network import restore_network
 
 TARGET = f"{Derenderer.__module__}.{Derenderer.__name__}"
 MAX_FRAMES_AT_ONCE = 32
@@ -29,7 +29,8 @@ class TrainedDerenderer:
         name: A hash of its content.
         scenario: Name of the scenario it knows.
         split: Name of the split it was trained for.
-        num_objects: How many objects it has seen at once.
+        slots: Names of the objects it knows.
+        num_objects: How many of them it has seen at once.
         render: The pictures it knows.
     """
 
@@ -40,26 +41,28 @@ class TrainedDerenderer:
         if origin.model["_target_"] != TARGET:
             raise CophyError(f"{source} is a checkpoint of {origin.model['_target_']}, not of a de-renderer")
         self.scenario, self.split = str(origin.scenario["name"]), str(origin.split["name"])
-        of_split = (origin.split[part]["num_objects"] for part in ("train", "test"))
-        self.num_objects: frozenset[int] = frozenset(origin.num_objects or of_split)
         render = origin.render
-        self.render = RenderSettings(render["modalities"], render["resolution"], Backend(render["backend"]))
+        with made_from(source):
+            self.slots = list(map(str, origin.model["slots"]))
+            of_split = (origin.split[part]["num_objects"] for part in ("train", "test"))
+            self.num_objects: frozenset[int] = frozenset(map(int, origin.num_objects or of_split))
+            self.render = RenderSettings(render["modalities"], int(render["resolution"]), Backend(render["backend"]))
+            self._seen = {
+                "num_experiments": origin.size["num_experiments"],
+                "data_seed": origin.data_seed,
+                "trained_on": origin.trained_on[0],
+            }
         self._network: Derenderer | None = None
 
     def check(self, sets: Sequence[ExperimentSet]) -> None:
         """Refuse datasets that it was not trained for: its slots, camera, and test experiments would not be theirs."""
-        size, data_seed, trained_on = (
-            self._origin.size["num_experiments"],
-            self._origin.data_seed,
-            self._origin.trained_on,
-        )
         for experiments in sets:
             own, wanted = (
                 {**keys, "task": None} for keys in (self._origin.scenario, asdict(experiments.spec.scenario))
             )
             if differing := sorted(key for key in own.keys() | wanted.keys() if own.get(key) != wanted.get(key)):
                 raise CophyError(f"the de-renderer {self.source} is of another scenario (its {', '.join(differing)})")
-            if not experiments.unseen_by(num_experiments=size, data_seed=data_seed, trained_on=trained_on[0]):
+            if not experiments.unseen_by(**self._seen):
                 raise CophyError(
                     f"the de-renderer {self.source} was trained at another size or data seed, or with other lists: it may "
                     f"have seen the test experiments of {experiments.id} in training"
@@ -84,9 +87,10 @@ class TrainedDerenderer:
             content = read_bytes(self.source)
             if _name(content) != self.name:
                 raise CophyError(f"{self.source} was replaced while it was used: run again")
-            network = build_network(self._origin.model)
+            weights = read_checkpoint(content, self.source).weights
+            with made_from(self.source):
+                network = restore_network(self._origin.model, weights)
             assert isinstance(network, Derenderer)
-            network.load_state_dict(read_checkpoint(content, self.source).weights)
             self._network = network.eval().to("cuda" if torch.cuda.is_available() else "cpu")
         return self._network
 

@@ -13,8 +13,8 @@ from cophy.dataset.feed.batches import true_inputs
 from cophy.dataset.feed.declared_inputs import DeclaredInputs
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
-from cophy.training.trained.checkpoints import read_bytes, read_checkpoint
-from cophy.training.trained.network import build_network
+from cophy.training.trained.checkpoints import made_from, read_bytes, read_checkpoint
+from cophy.training.trained.network import restore_network
 from cophy.training.trained.trained_derenderer import TARGET as DERENDERER
 
 ALLOWED = "cophy.models."  # whose classes a checkpoint may name: importing any other module would run its code
@@ -28,6 +28,7 @@ class TrainedPredictor:
         scenarios: The classes of scenarios by name.
 
     Attributes:
+        source: The checkpoint.
         scenario: Of the data.
         size: Name of their size. Test it on data of this size: most test experiments of another are among those it was
             trained on.
@@ -48,13 +49,14 @@ class TrainedPredictor:
             raise CophyError(f"predictor={source} wants the true confounders, which no picture shows")
         if declared.not_derendered:
             raise CophyError(f"predictor={source} has {declared.not_derendered}, which no de-renderer estimates")
-        self.scenario = _scenario(checkpoint.origin.scenario, scenarios, source)
-        self.size, self.data_seed = str(checkpoint.origin.size.get("name")), checkpoint.origin.data_seed
-        self.network = build_network(model).eval()
-        try:
-            self.network.load_state_dict(checkpoint.weights)
-        except RuntimeError as error:
-            raise CophyError(f"predictor={source} does not fit {target} as it is now") from error
+        name = str(checkpoint.origin.scenario["name"])
+        if name not in scenarios:
+            raise CophyError(f"predictor={source} is of the scenario {name}, which is not known here")
+        self.source, self.data_seed = source, checkpoint.origin.data_seed
+        self.size = str(checkpoint.origin.size.get("name"))
+        with made_from(source):
+            self.scenario = _scenario(checkpoint.origin.scenario, scenarios[name])
+            self.network = restore_network(model, checkpoint.weights).eval()
 
     def __call__(self, experiments: Mapping[str, Tensor]) -> Float[Tensor, "batch steps slots 3"]:
         """D of each experiment from its AB and C.
@@ -71,9 +73,7 @@ class TrainedPredictor:
             return self.network(inputs).position * inputs.presence[:, None, :, None]
 
 
-def _scenario(keys: dict[str, Any], scenarios: Mapping[str, type[Scenario]], source: Path) -> Scenario:
-    if keys["name"] not in scenarios:
-        raise CophyError(f"predictor={source} is of the scenario {keys['name']}, which is not known here")
-    scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(scenarios[keys["name"]]), keys))
+def _scenario(keys: dict[str, Any], schema: type[Scenario]) -> Scenario:
+    scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), keys))
     assert isinstance(scenario, Scenario)
     return scenario
