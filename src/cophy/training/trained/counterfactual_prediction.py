@@ -8,6 +8,8 @@ import torch
 from cophy.dataset.feed.batches import estimated_inputs
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
+from cophy.training.model_contract import NOT_FINITE
+from cophy.training.trained.checkpoints import made_from
 from cophy.training.trained.trained_derenderer import TrainedDerenderer
 from cophy.training.trained.trained_predictor import TrainedPredictor
 
@@ -20,9 +22,11 @@ class Counterfactual(NamedTuple):
 
 
 def check_pair(derenderer: TrainedDerenderer, predictor: TrainedPredictor) -> None:
-    """Refuse checkpoints of two scenarios."""
+    """Refuse checkpoints of two scenarios, or of one with other colours."""
     if derenderer.scenario != predictor.scenario.name:
         raise CophyError(f"the de-renderer is of {derenderer.scenario}, the predictor of {predictor.scenario.name}")
+    if derenderer.slots != (slots := list(predictor.scenario.colors)):
+        raise CophyError(f"the de-renderer sees {', '.join(derenderer.slots)}, the predictor knows {', '.join(slots)}")
 
 
 def predict(
@@ -37,7 +41,8 @@ def predict(
         predictor: Predicts D from them.
 
     Raises:
-        CophyError: The pictures are not those that the checkpoints know, or show no object.
+        CophyError: The pictures are not those that the checkpoints know, or show no object; or what a checkpoint says of
+            them is not finite.
     """
     _check_pictures(observed, initial, predictor.scenario)
     position, logit = derenderer(observed)
@@ -49,13 +54,20 @@ def predict(
         "position": np.stack([position, position_in_c])[None],
         "presence_logit": np.stack([logit, logit_in_c])[None],
     }
+    _check_finite(estimates["position"], f"derenderer={derenderer.source}")
     inputs = estimated_inputs(estimates, predictor.scenario)
     if not inputs.presence.any():
         raise CophyError("the de-renderer sees no object in C: is it trained, and is the picture of its scenario?")
-    with torch.no_grad():
+    with torch.no_grad(), made_from(predictor.source):  # some arguments of a network are only used here
         prediction = predictor.network(inputs)
-    positions = torch.cat([inputs.initial[:, None], prediction.position], dim=1)
-    return Counterfactual(positions[0].numpy(), inputs.presence[0].numpy())
+        positions = torch.cat([inputs.initial[:, None], prediction.position], dim=1).numpy()
+    _check_finite(positions, f"predictor={predictor.source}")
+    return Counterfactual(positions[0], inputs.presence[0].numpy())
+
+
+def _check_finite(positions: np.ndarray, checkpoint: str) -> None:
+    if not np.isfinite(positions).all():
+        raise CophyError(f"{checkpoint} {NOT_FINITE}")
 
 
 def _check_pictures(observed: np.ndarray, initial: np.ndarray, scenario: Scenario) -> None:
