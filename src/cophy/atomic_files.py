@@ -49,6 +49,9 @@ def appearing_whole(path: Path) -> Iterator[Path]:
 
     The name is nobody else's, so that two processes that write the same file, on whatever machines, do not meet. It tells
     who writes, see `is_left_behind`.
+
+    Raises:
+        OSError: It cannot be written; the error names the file that was to appear.
     """
     temporary = path.with_name(f"{path.name}.{MACHINE}-{os.getpid()}-{uuid4().hex[:8]}.tmp")
     try:
@@ -56,6 +59,10 @@ def appearing_whole(path: Path) -> Iterator[Path]:
         with open(temporary, "rb") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
+    except OSError as error:
+        if error.errno is not None and (error.filename is None or str(error.filename) == str(temporary)):
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -1,39 +1,44 @@
 """Frames that people bring are read, pictures are written."""
 
+import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image
 
-from cophy.atomic_files import check_space
+from cophy.atomic_files import write_atomically
+from cophy.dataset.released.untrusted_files import BrokenFileError, open_clip, read_bytes
 from cophy.errors import CophyError
 
-SUFFIXES = (".png", ".jpg", ".jpeg")
+SUFFIXES, FORMATS = (".png", ".jpg", ".jpeg"), ("PNG", "JPEG")
 MAX_FRAMES = 1000
+MAX_EDGE = 4096  # pixels, as of render.resolution
+MAX_BYTES = 2 << 30  # ours: of all frames together, many times what any sequence has
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
-    """Write an (H, W, 3) uint8 RGB picture as PNG."""
+    """Write an (H, W, 3) uint8 RGB picture as PNG, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-        check_space(path)
-        raise CophyError(f"{path} cannot be written")
+    write_atomically(path, cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
 
 
 def read_frames(path: Path) -> np.ndarray:
     """(T, H, W, 3) RGB frames of a video, of one picture, or of a folder of pictures: 2.png comes before 10.png.
 
-    Of a long video only the first MAX_FRAMES + 1 are read: the caller knows how many there have to be.
+    Of many only the first MAX_FRAMES + 1 are read: the caller knows how many there have to be.
+
+    Raises:
+        CophyError: They are something else, not whole, of different sizes, or too large.
     """
-    if path.is_dir():
-        files = sorted((file for file in path.iterdir() if file.suffix.lower() in SUFFIXES), key=_by_number)
-        frames = [_read_picture(file) for file in files]
-    elif path.suffix.lower() in SUFFIXES:
-        frames = [_read_picture(path)]
-    else:
-        frames = list(_read_video(path))
+    frames: list[np.ndarray] = []
+    for frame in islice(_each(path), MAX_FRAMES + 1):
+        frames.append(frame)
+        if len(frames) * frame.nbytes > MAX_BYTES:
+            raise CophyError(f"{path} holds more than {MAX_BYTES >> 20} MiB of pixels: give fewer pictures, or smaller")
     if not frames:
         raise CophyError(f"{path} holds no pictures: give a video, or a folder of .png or .jpg files")
     if len({frame.shape for frame in frames}) > 1:
@@ -41,22 +46,50 @@ def read_frames(path: Path) -> np.ndarray:
     return np.stack(frames)
 
 
+def _each(path: Path) -> Iterator[np.ndarray]:
+    if path.is_dir():
+        for file in sorted((file for file in path.iterdir() if file.suffix.lower() in SUFFIXES), key=_by_number):
+            yield _read_picture(file)
+    elif path.suffix.lower() in SUFFIXES:
+        yield _read_picture(path)
+    else:
+        yield from _read_video(path)
+
+
 def _by_number(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
 def _read_picture(path: Path) -> np.ndarray:
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise CophyError(f"{path} is no picture that OpenCV can read")
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    try:
+        content = read_bytes(path.resolve())
+        with Image.open(io.BytesIO(content), formats=FORMATS) as found:
+            _check_size(path, *found.size)
+            found.load()  # half a picture is refused here, but not by OpenCV
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None
+        return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    except CophyError:
+        raise
+    except Exception as error:  # whatever a hostile file makes Pillow and OpenCV raise
+        raise CophyError(f"{path} is no picture that can be read whole: give .png or .jpg files") from error
 
 
-def _read_video(path: Path) -> Sequence[np.ndarray]:
-    video = cv2.VideoCapture(str(path))
-    frames: list[np.ndarray] = []
-    if not video.isOpened():
-        raise CophyError(f"{path} is no video that OpenCV can read")
-    while len(frames) <= MAX_FRAMES and (read := video.read())[0]:
-        frames.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB))
-    return frames
+def _read_video(path: Path) -> Iterator[np.ndarray]:
+    try:
+        video = open_clip(path.resolve())
+    except (BrokenFileError, OSError, RuntimeError) as error:  # a link to itself is one of the last
+        raise CophyError(
+            f"{path} is no video that can be read: give an MP4 file, or a folder of .png or .jpg files"
+        ) from error
+    try:
+        _check_size(path, *(int(video.get(edge)) for edge in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)))
+        while (read := video.read())[0]:
+            yield cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB)
+    finally:
+        video.release()
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if max(width, height) > MAX_EDGE:
+        raise CophyError(f"{path} has {width} × {height} pixels: give a picture of at most {MAX_EDGE} × {MAX_EDGE}")
