@@ -60,5 +60,5 @@ def test_two_checkpoints_know_the_same_objects(tmp_path: Path) -> None:
     scenario = to_plain(composed("train", "scenario=balls"))["scenario"]
     check_pair(derenderer(tmp_path), predictor(tmp_path))
     fewer = scenario | {"colors": dict(list(scenario["colors"].items())[:4])}
-    with pytest.raises(CophyError, match=r"the de-renderer sees .*, the predictor knows "):
+    with pytest.raises(CophyError, match=r"sees\.ckpt sees .*, predictor=.*knows\.ckpt knows "):
         check_pair(derenderer(tmp_path), predictor(tmp_path, scenario=fewer))

@@ -26,7 +26,8 @@ def check_pair(derenderer: TrainedDerenderer, predictor: TrainedPredictor) -> No
     if derenderer.scenario != predictor.scenario.name:
         raise CophyError(f"the de-renderer is of {derenderer.scenario}, the predictor of {predictor.scenario.name}")
     if derenderer.slots != (slots := list(predictor.scenario.colors)):
-        raise CophyError(f"the de-renderer sees {', '.join(derenderer.slots)}, the predictor knows {', '.join(slots)}")
+        seen, known = ", ".join(derenderer.slots), ", ".join(slots)
+        raise CophyError(f"derenderer={derenderer.source} sees {seen}, predictor={predictor.source} knows {known}")
 
 
 def predict(
