@@ -62,6 +62,22 @@ def test_a_restored_network_is_the_one_that_was_saved(chosen: str) -> None:
         assert torch.equal(saved, found)
 
 
+class ReadsValues(nn.Module):
+    """Needs values to be made, which a network on `meta` has not."""
+
+    def __init__(self, *, width: int, first: int) -> None:
+        super().__init__()
+        self.first, self.steps = first, torch.linspace(0, 1, width).tolist()
+        self.scale = nn.Parameter(torch.ones(width))
+
+
+def test_a_network_that_needs_values_to_be_made_is_restored() -> None:
+    model = {"_target_": f"{__name__}.ReadsValues", "width": 3, "first": 0}
+    assert restore_network(model, {"scale": torch.full((3,), 2.0)}).scale.tolist() == [2.0] * 3
+    with pytest.raises(RuntimeError, match="size mismatch"):
+        restore_network(model, {"scale": torch.zeros(4)})
+
+
 def everything(network: nn.Module) -> list[Tensor]:
     return [*network.parameters(), *network.buffers()]
 
@@ -70,7 +86,7 @@ def wide(hidden_dim: int) -> dict[str, object]:
     return model_of("model=in") | {"hidden_dim": hidden_dim}
 
 
-@pytest.mark.parametrize(("hidden_dim", "message"), [(10**9, "is not from 1 to 16384"), (2**14, "does not fit")])
+@pytest.mark.parametrize(("hidden_dim", "message"), [(10**9, "is more than 16384"), (2**14, "does not fit")])
 def test_weights_are_compared_before_anything_is_allocated(
     hidden_dim: int, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

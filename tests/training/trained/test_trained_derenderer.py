@@ -66,7 +66,7 @@ def test_an_origin_that_says_nonsense_is_named(tmp_path: Path, changes: dict[str
     ("changes", "message"),
     [
         ({"width": 4}, r"features\.0\.\d\.\w+ does not fit cophy\.models\.derenderer\.Derenderer as it is now"),
-        ({"width": 10**6}, "model.width=1000000 is not from 1 to 16384"),
+        ({"width": 10**6}, "model.width=1000000 is more than 16384"),
         ({"resolution": 6}, "resolution=6 is no multiple of 4"),
     ],
 )

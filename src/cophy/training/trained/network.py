@@ -1,6 +1,7 @@
 """A network from the name of its class and its arguments (conf/model/)."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import torch
@@ -41,20 +42,21 @@ def build_network(model: Mapping[str, Any]) -> nn.Module:
 def restore_network(model: Mapping[str, Any], weights: Mapping[str, Tensor]) -> nn.Module:
     """The network of a checkpoint, one of cophy.models, with its weights.
 
-    It takes no more memory than the checkpoint: shapes are compared with those of a network that has none (`meta`).
+    It takes no more memory than the checkpoint: shapes are compared with those of a network that has none (`meta`), unless
+    its class needs values to be made.
 
     Raises:
         CophyError: The weights are not those of this network as it is now.
+        RuntimeError: Likewise, of such a class.
     """
-    target = model["_target_"]
     for key, value in model.items():
-        if isinstance(value, int) and not isinstance(value, bool) and not 0 < value <= MOST:
-            raise CophyError(f"model.{key}={value} is not from 1 to {MOST}")
-    with torch.device("meta"):
-        wanted = {key: value.shape for key, value in build_network(model).state_dict().items()}
+        if isinstance(value, int) and value > MOST:
+            raise CophyError(f"model.{key}={value} is more than {MOST}")
     shapes = {key: value.shape for key, value in weights.items()}
-    if differing := sorted(key for key in wanted.keys() | shapes.keys() if wanted.get(key) != shapes.get(key)):
-        raise CophyError(f"{differing[0]} does not fit {target} as it is now")
+    with suppress(RuntimeError), torch.device("meta"):
+        wanted = {key: value.shape for key, value in build_network(model).state_dict().items()}
+        if differing := sorted(key for key in wanted.keys() | shapes.keys() if wanted.get(key) != shapes.get(key)):
+            raise CophyError(f"{differing[0]} does not fit {model['_target_']} as it is now")
     if sum(map(_num_bytes, weights.values())) > 2 * _num_bytes_held(weights):  # a few may be shared
         raise CophyError("its weights repeat a few numbers")
     network = build_network(model)
