@@ -81,13 +81,12 @@ def draw(curves: pd.DataFrame) -> Figure:
                 named[ROWS[name]] = drawn
                 low, high = (scale * line[f"{measure}_{end}"] for end in ("low", "high"))
                 axis.fill_between(line["num_train"], low, high, color=color, alpha=0.15)
-            axis.set(
-                xscale="log", title=f"{curves['scenario'].iloc[0]}, {split}: {title}", xlabel="training experiments"
-            )
+            axis.set(xscale="log", title=title, xlabel="training experiments")
             axis.xaxis.set_major_formatter(ScalarFormatter())
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.set_xticks(sorted(of_split["num_train"].unique()))
             axis.set_ylim(bottom=0 if measure == "mse" else None)
+        row[0].set_ylabel(f"{curves['scenario'].iloc[0]}, {split}")
     figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=len(named), frameon=False)
     return figure
 
