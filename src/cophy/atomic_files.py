@@ -12,7 +12,7 @@ from pathlib import Path
 from uuid import uuid4
 
 MACHINE = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
-ABANDONED_S = 86400  # ours: what nobody wrote to for a day, on another machine, is taken to be left behind
+ABANDONED_S = 86400  # ours: what nobody wrote to for a day is taken to be left behind
 FULL = 1 << 20  # bytes; ours: with less left, what was not written is taken to be for want of space
 
 
@@ -68,17 +68,16 @@ def appearing_whole(path: Path) -> Iterator[Path]:
 
 
 def is_left_behind(temporary: Path) -> bool:
-    """Whether the process that wrote to this temporary name is gone. Of one on another machine, its last write tells."""
+    """Whether the process that wrote to this temporary name is gone. Of one that cannot be asked, its last write tells."""
     try:
         machine, process, _ = temporary.name.split(".")[-2].split("-")
-        if machine != MACHINE:
-            return time.time() - temporary.stat().st_mtime > ABANDONED_S
-        os.kill(int(process), 0)  # sends nothing
+        if machine == MACHINE:
+            os.kill(int(process), 0)  # sends nothing
+        return time.time() - temporary.stat().st_mtime > ABANDONED_S
     except PermissionError:  # it runs, for somebody else
         return False
     except (ValueError, IndexError, OSError):  # no name of ours, or no such process; or the file itself is gone
         return True
-    return False
 
 
 def sha256(path: Path) -> str:

@@ -202,14 +202,13 @@ def _locked(directory: Path) -> Iterator[bool]:
 def _without_leftovers(directory: Path) -> Iterator[None]:
     """Begin and end without half-written files: of a process that was killed, or of workers that a full disk ended.
 
-    Those of `make_part`, which may be at work beside, stay.
+    Those of `make_part`, which may be at work beside, stay. Workers of what was killed may take a moment to end.
     """
+    _remove_leftovers(directory)
     try:
-        _remove_leftovers(directory)
         yield
-    except BaseException:
+    finally:
         _remove_leftovers(directory)
-        raise
 
 
 def _remove_leftovers(directory: Path) -> None:
