@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from httpx import Response
 from starlette.testclient import TestClient
 
 from cophy.app.composition import settings
@@ -88,3 +89,10 @@ def take_one(browser: TestClient) -> dict[str, Any]:
     response = browser.post(f"/api/assignments/{place['position']}/answer", json=answer_to(place))
     assert response.status_code == 200, response.text
     return dict(response.json())
+
+
+def has_its_headers(response: Response) -> bool:
+    headers = response.headers
+    policy = headers["content-security-policy"]
+    safe = "script-src 'self';" in policy and "default-src 'none'" in policy
+    return safe and headers["cache-control"] == "no-store" and headers["x-content-type-options"] == "nosniff"

@@ -1,6 +1,7 @@
 """What the names of runs stand for, which the report asks: the configurations that they compose."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -23,6 +24,14 @@ OF_EVERY_RUN = ("model", "scenario", "split", "training", "trainer", "data_seed"
 OF_DERENDERERS = ("render", "num_images", "num_objects")
 
 
+@contextmanager
+def _explained() -> Iterator[None]:
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise CophyError(explain(error)) from error
+
+
 @cache
 def _generated_ids(scenario: str, split: str, size: str) -> list[str]:
     """The datasets that a run of these names reads, the training one first."""
@@ -42,14 +51,12 @@ class ComposedChoices:
         """The keys of the configuration that make a run of these names the run it claims to be; see `Choices`."""
         groups = [f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation")]
         is_derenderer = names["model"].startswith("derenderer")
-        try:
+        with _explained():
             plain = to_plain(composed("train", f"source={self.source}", *groups))
             keys = {key: plain[key] for key in (*OF_EVERY_RUN, *(OF_DERENDERERS if is_derenderer else ()))}
             if is_derenderer or self.source != "generated":
                 return keys
             return keys | {DATASETS: _generated_ids(*(names[name] for name in ("scenario", "split", "size")))}
-        except (HydraException, OmegaConfBaseException) as error:
-            raise CophyError(explain(error)) from error
 
     def scenario(self, name: str) -> Scenario:
         """The scenario of this name."""
@@ -61,10 +68,8 @@ class ComposedChoices:
 
     def dataset(self, scenario: str, num_objects: int, size: str) -> States:
         """The dataset that runs of this scenario and size use."""
-        try:
+        with _explained():
             chosen = to_config(composed("generate", f"scenario={scenario}", f"size={size}"), GenerateConfig)
-        except (HydraException, OmegaConfBaseException) as error:
-            raise CophyError(explain(error)) from error
         (states,) = generated_by(replace(chosen, num_objects=[num_objects], data_dir=str(self.data_dir)))
         return states
 

@@ -72,16 +72,16 @@ def _read_picture(path: Path) -> np.ndarray:
     except CophyError:
         raise
     except Exception as error:  # whatever a hostile file makes Pillow and OpenCV raise
-        raise CophyError(f"{path} is no picture that can be read whole: give .png or .jpg files") from error
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise CophyError(f"{path} is no picture that can be read whole: give .png or .jpg files ({why})") from error
 
 
 def _read_video(path: Path) -> Iterator[np.ndarray]:
     try:
         video = open_clip(path.resolve())
     except (BrokenFileError, OSError, RuntimeError) as error:  # a link to itself is one of the last
-        raise CophyError(
-            f"{path} is no video that can be read: give an MP4 file, or a folder of .png or .jpg files"
-        ) from error
+        remedy = "give an MP4 file, or a folder of .png or .jpg files"
+        raise CophyError(f"{path} is no video that can be read: {remedy} ({error})") from error
     try:
         _check_size(path, *(int(video.get(edge)) for edge in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)))
         while (read := video.read())[0]:

@@ -117,7 +117,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_whole(content: bytes, source: Path) -> None:
-    """Compare the checksums (CRC-32) that torch stored with what is there. It compresses nothing.
+    """Compare the checksums (CRC-32) that torch stored with what is there. A file that torch wrote is not compressed.
 
     Raises:
         CophyError: They differ, or the file would grow when it is read; the message names `source`.
@@ -125,7 +125,8 @@ def check_whole(content: bytes, source: Path) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
-            if any(each.compress_type != zipfile.ZIP_STORED for each in entries) or _size(entries) > len(content):
+            size = sum(each.file_size for each in entries)
+            if any(each.compress_type != zipfile.ZIP_STORED for each in entries) or size > len(content):
                 raise CophyError(f"{source} is no checkpoint of train.py: it is compressed, or its parts overlap")
             damaged = archive.testzip()
     except (*ERRORS, zipfile.BadZipFile, OSError, zlib.error) as error:
@@ -170,7 +171,3 @@ def made_from(source: Path) -> Iterator[None]:
             f"{source} is no checkpoint of train.py, or of another version of cophy ({what}{why}): take another, or "
             "train again"
         ) from error
-
-
-def _size(entries: list[zipfile.ZipInfo]) -> int:
-    return sum(each.file_size for each in entries)
