@@ -70,6 +70,11 @@ def test_the_page_of_commands_names_every_choice() -> None:
 
 
 @pages
+def test_a_command_that_goes_on_has_its_rest_on_the_next_line(page: Path) -> None:
+    assert re.findall(r".*\\\n\s*\n", page.read_text()) == []
+
+
+@pages
 def test_every_command_composes(page: Path) -> None:
     for script, *words in commands(page):
         given = [word.split("|")[0] for word in words if word != "-m"]  # `balls|collision`: either
