@@ -42,8 +42,7 @@ def build_network(model: Mapping[str, Any]) -> nn.Module:
 def restore_network(model: Mapping[str, Any], weights: Mapping[str, Tensor]) -> nn.Module:
     """The network of a checkpoint, one of cophy.models, with its weights.
 
-    It takes no more memory than the checkpoint: shapes are compared with those of a network that has none (`meta`), unless
-    its class needs values to be made.
+    It takes no more memory than the checkpoint, unless its class needs values to be made.
 
     Raises:
         CophyError: The weights are not those of this network as it is now.
@@ -52,16 +51,25 @@ def restore_network(model: Mapping[str, Any], weights: Mapping[str, Tensor]) -> 
     for key, value in model.items():
         if isinstance(value, int) and value > MOST:
             raise CophyError(f"model.{key}={value} is more than {MOST}")
-    shapes = {key: value.shape for key, value in weights.items()}
-    with suppress(RuntimeError), torch.device("meta"):
-        wanted = {key: value.shape for key, value in build_network(model).state_dict().items()}
-        if differing := sorted(key for key in wanted.keys() | shapes.keys() if wanted.get(key) != shapes.get(key)):
-            raise CophyError(f"{differing[0]} does not fit {model['_target_']} as it is now")
+    check_shapes(model, weights)
     if sum(map(_num_bytes, weights.values())) > 2 * _num_bytes_held(weights):  # a few may be shared
         raise CophyError("its weights repeat a few numbers")
     network = build_network(model)
     network.load_state_dict(weights)
     return network
+
+
+def check_shapes(model: Mapping[str, Any], weights: Mapping[str, Tensor]) -> None:
+    """Compare names and shapes of weights with those of a network that holds no numbers (`meta`), if its class can be so.
+
+    Raises:
+        CophyError: They are not those of this network as it is now.
+    """
+    shapes = {key: value.shape for key, value in weights.items()}
+    with suppress(RuntimeError), torch.device("meta"):
+        wanted = {key: value.shape for key, value in build_network(model).state_dict().items()}
+        if differing := sorted(key for key in wanted.keys() | shapes.keys() if wanted.get(key) != shapes.get(key)):
+            raise CophyError(f"{differing[0]} does not fit {model['_target_']} as it is now")
 
 
 def _num_bytes(weight: Tensor) -> int:

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from cophy.errors import CophyError
-from cophy.training.trained.checkpoints import Checkpoint, Origin, read_bytes, read_checkpoint
+from cophy.training.trained.checkpoints import Checkpoint, Origin, made_from, read_bytes, read_checkpoint
+from cophy.training.trained.network import check_shapes
 
 NAMED = 3  # settings in a message
 CHOSEN = ("scenario", "size")  # by a name, which brings all other keys below it
@@ -23,7 +24,8 @@ def check_resumable(ckpt: Path, origin: Origin) -> None:
         origin: What is to be trained.
 
     Raises:
-        CophyError: It is no checkpoint, or of another training; the message names the keys that differ.
+        CophyError: It is no checkpoint, or of another training (the message names the keys that differ), or its weights do
+            not fit.
     """
     checkpoint = _read(ckpt, "ckpt", "last.ckpt")
     if not checkpoint.has_optimizer:
@@ -33,6 +35,7 @@ def check_resumable(ckpt: Path, origin: Origin) -> None:
     own, wanted = depends_on(checkpoint.origin), depends_on(origin)
     if keys := _differing(*({key: each[key] for key in each.keys() - MAY_CHANGE} for each in (own, wanted))):
         raise CophyError(f"ckpt={ckpt} is of another training ({keys}): go on with the same settings, or start anew")
+    _check_weights(ckpt, checkpoint)
 
 
 def check_trained(predictor: Path, origin: Origin) -> None:
@@ -43,15 +46,18 @@ def check_trained(predictor: Path, origin: Origin) -> None:
         origin: What would be trained.
 
     Raises:
-        CophyError: It is no checkpoint, too old to tell, or of another training; the message names the keys that differ.
+        CophyError: It is no checkpoint, too old to tell, or of another training (the message names the keys that differ), or
+            its weights do not fit.
     """
-    own = _read(predictor, "predictor", "best.ckpt").origin
+    checkpoint = _read(predictor, "predictor", "best.ckpt")
+    own = checkpoint.origin
     if own.seed is None:
         raise CophyError(
             f"predictor={predictor} does not say with which seed it was trained, as earlier versions did not"
         )
     if keys := _differing(_all_weights_depend_on(own), _all_weights_depend_on(origin)):
         raise CophyError(f"predictor={predictor} is of another training ({keys}): test it with the same settings")
+    _check_weights(predictor, checkpoint)
 
 
 def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -66,6 +72,12 @@ def _read(path: Path, key: str, kept: str) -> Checkpoint:
     if not path.is_file():
         raise CophyError(f"{key}={path} is no file: a run keeps {kept} in its checkpoints/")
     return read_checkpoint(read_bytes(path), path)
+
+
+def _check_weights(source: Path, checkpoint: Checkpoint) -> None:
+    """Refuse those that do not fit the class of the model as it is now; its arguments are the same."""
+    with made_from(source):
+        check_shapes(checkpoint.origin.model, checkpoint.weights)
 
 
 def _differing(trained: dict[str, Any], wanted: dict[str, Any]) -> str:
