@@ -34,7 +34,15 @@ class Source:
         return self.name == GENERATED
 
     def experiment_set(
-        self, scenario: Scenario, num_objects: int, *, split: Split, size: Size, data_seed: int, data_dir: Path
+        self,
+        scenario: Scenario,
+        num_objects: int,
+        *,
+        split: Split,
+        size: Size,
+        data_seed: int,
+        data_dir: Path,
+        overrides: tuple[str, ...] = (),
     ) -> ExperimentSet:
         """The experiments with one number of objects.
 
@@ -45,12 +53,13 @@ class Source:
             size: of generated data; released ones have none.
             data_seed: of generated data; released ones have none.
             data_dir: where generated data, and indices of released ones, lie.
+            overrides: see `DatasetSpec`; of generated data.
 
         Raises:
             CophyError: the released data or their lists are not where they should be.
         """
         if self.is_generated:
-            return States(DatasetSpec(scenario, num_objects, size, data_seed), data_dir)
+            return States(DatasetSpec(scenario, num_objects, size, data_seed, overrides), data_dir)
         if self.root is None:
             raise CophyError(f"source={self.name} needs source.root=, the folder that holds ballsCF, blocktowerCF, …")
         lists = None if self.splits is None else Path(self.splits)
@@ -67,6 +76,7 @@ class Source:
         size: Size,
         data_seed: int,
         data_dir: Path,
+        overrides: tuple[str, ...] = (),
     ) -> list[ExperimentSet]:
         """All datasets that the split, or `num_objects`, names.
 
@@ -77,19 +87,35 @@ class Source:
             size: see `experiment_set`.
             data_seed: see `experiment_set`.
             data_dir: see `experiment_set`.
+            overrides: see `experiment_set`.
 
         Raises:
             CophyError: the split was not made for the scenario, or released data are not there.
         """
         split.check_scenario(scenario)
         return [
-            self.experiment_set(scenario, count, split=split, size=size, data_seed=data_seed, data_dir=data_dir)
+            self.experiment_set(
+                scenario,
+                count,
+                split=split,
+                size=size,
+                data_seed=data_seed,
+                data_dir=data_dir,
+                overrides=overrides,
+            )
             for count in split.counts(num_objects)
         ]
 
 
 def generated_sets(
-    scenario: Scenario, split: Split, num_objects: list[int] | None, *, size: Size, data_seed: int, data_dir: Path
+    scenario: Scenario,
+    split: Split,
+    num_objects: list[int] | None,
+    *,
+    size: Size,
+    data_seed: int,
+    data_dir: Path,
+    overrides: tuple[str, ...] = (),
 ) -> list[States]:
     """The generated datasets that the split, or `num_objects`, names.
 
@@ -100,9 +126,11 @@ def generated_sets(
         size: how many experiments they have.
         data_seed: what their randomness follows from.
         data_dir: where they lie.
+        overrides: see `DatasetSpec`.
 
     Raises:
         CophyError: the split was not made for the scenario.
     """
     split.check_scenario(scenario)
-    return [States(DatasetSpec(scenario, count, size, data_seed), data_dir) for count in split.counts(num_objects)]
+    specs = [DatasetSpec(scenario, count, size, data_seed, overrides) for count in split.counts(num_objects)]
+    return [States(spec, data_dir) for spec in specs]

@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+import shlex
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +30,17 @@ class Size:
 
 @dataclass(frozen=True)
 class DatasetSpec:
-    """One generated dataset. data_seed: all randomness of its experiments and of its splits follows from it."""
+    """One generated dataset.
+
+    data_seed: all randomness of its experiments and of its splits follows from it. overrides: what scenario and size change
+    beyond their names, as a command line has it; only commands are made of it.
+    """
 
     scenario: Scenario
     num_objects: int
     size: Size
     data_seed: int
+    overrides: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if str(self.num_objects) not in self.size.num_experiments.get(self.scenario.name, {}):
@@ -85,7 +91,6 @@ class DatasetSpec:
 
     def command(self, directory: Path) -> str:
         """The command that makes, continues or repairs this dataset in its directory."""
-        return (
-            f"python src/generate.py scenario={self.scenario.name} size={self.size.name} "
-            f"'num_objects=[{self.num_objects}]' data_seed={self.data_seed} data_dir={directory.parents[1]}"
-        )
+        names = f"scenario={self.scenario.name} size={self.size.name}"
+        keys = f"'num_objects=[{self.num_objects}]' data_seed={self.data_seed} data_dir={directory.parents[1]}"
+        return " ".join(["python src/generate.py", names, keys, *map(shlex.quote, self.overrides)])

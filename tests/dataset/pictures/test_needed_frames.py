@@ -139,7 +139,7 @@ def test_a_derenderer_has_only_its_own_frames_drawn(rendered: Images, tmp_path: 
     with h5py.File(rendered.path(0)) as file:
         _, row, sequence, time = data.train.index[0].tolist()
         np.testing.assert_array_equal(data.train[0].image.numpy().transpose(1, 2, 0), file["rgb"][row, sequence, time])
-    assert "model=derenderer num_images=40 data_seed=0" in pictures.command
+    assert "model=derenderer num_images=40 data_seed=0 'num_objects=[2]'" in pictures.command
 
 
 def test_where_half_of_the_frames_are_chosen_all_are_drawn(rendered: Images, tmp_path: Path) -> None:

@@ -103,7 +103,8 @@ class FrameDataModule(L.LightningDataModule):
         every = 2 * experiments.spec.num_experiments * self.scenario.clock.num_frames
         if 2 * len(frames) >= every:
             return experiments.frames(self.render)
-        keys = f"model=derenderer num_images={self.num_images} data_seed={self.data_seed}"
+        seen = ",".join(str(each.spec.num_objects) for each in self.sets)  # all of them: frames are chosen from all
+        keys = f"model=derenderer num_images={self.num_images} data_seed={self.data_seed} 'num_objects=[{seen}]'"
         return experiments.frames(self.render, ChosenFrames.to_train(frames, keys))
 
     def train_dataloader(self) -> DataLoader[FrameBatch]:

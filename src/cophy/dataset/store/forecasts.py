@@ -1,4 +1,4 @@
-"""What the oracles say of every test experiment, in shards beside the states: it takes simulations, so it is kept."""
+"""What the oracles say of the first test experiments, in shards beside the states: it takes simulations, so it is kept."""
 
 import hashlib
 import json
@@ -47,7 +47,8 @@ class OracleForecasts(ShardSet):
             self.asked["max_experiments"] = settings.max_experiments
         text = json.dumps({"version": VERSION, **self.asked}, sort_keys=True)
         name = f"oracles-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-        command = f"python src/train.py scenario={spec.scenario.name} 'model=glob(oracle_*)' -m"
+        keys = " ".join(f"model.{key}={value}" for key, value in asked.items())
+        command = f"{states.command} model=oracle_feedforward {keys}"  # makes what all oracles say
         super().__init__(spec, states.directory / name, title=f"oracles of {states.title}", command=command)
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
