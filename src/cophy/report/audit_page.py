@@ -28,7 +28,9 @@ def write_page(checks: Sequence[Check], arrays: dict[str, np.ndarray], spec: Dat
     directory.mkdir(parents=True, exist_ok=True)
     failing = sum(not check.passed for check in checks)
     lines = [f"| {'ok' if check.passed else '**FAILS**'} | {check.name} | {check.found} |" for check in checks]
-    pictures = {"Outcomes of CD for every value of the confounders": ("outcomes.png", draw_outcomes(arrays, spec))}
+    pictures = {}
+    if (outcomes := draw_outcomes(arrays, spec)) is not None:
+        pictures["Outcomes of CD for every value of the confounders"] = ("outcomes.png", outcomes)
     if asked := [check for check in checks if isinstance(check, ClassifierCheck)]:
         pictures["What can be known of CD without the motion of AB"] = ("bias.png", draw_classifiers(asked))
     for name, figure in pictures.values():
@@ -71,11 +73,16 @@ def draw_classifiers(checks: Sequence[ClassifierCheck]) -> Figure:
     return figure
 
 
-def draw_outcomes(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> Figure:
-    """Outcomes of CD for every value of every confounder: towers that stand (paper Fig. 3), or lengths of paths."""
+def draw_outcomes(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> Figure | None:
+    """Outcomes of CD for every value of every confounder: towers that stand (paper Fig. 3), or lengths of paths.
+
+    None where no confounder of objects has two values.
+    """
     if spec.scenario.statics is not None:
         return draw_stability_distribution({spec.num_objects: arrays})
     paths = {name: values for name, values in paths_per_value(arrays, spec).items() if len(values) > 1}
+    if not paths:
+        return None
     figure = Figure(figsize=(3.6 * len(paths), 3.4), layout="constrained")
     for axis, (name, values) in zip(
         figure.subplots(1, len(paths), sharey=True, squeeze=False)[0], paths.items(), strict=True

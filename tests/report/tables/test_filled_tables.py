@@ -119,10 +119,13 @@ def test_a_cell_averages_no_runs_of_different_lengths_or_sizes() -> None:
         measured("mse", 0.1, "cophynet", epochs=120),
         measured("mse", 0.3, "cophynet", seed=1, epochs=40),
         measured("mse", 0.9, "cophynet", seed=2, epochs=400, num_train=280, size="tiny"),
+        measured("mse", 0.5, "copy_c", epochs=40, is_trained=False),
     ]
     filled = fill(TABLES["blocktower"], pd.DataFrame(runs))
     assert filled.cells().loc["3→3", "CoPhyNet"] == "0.100 [0.090, 0.120] / 0.294"
-    assert "120 epochs; seeds 0." in filled.caption
+    assert "test experiments; 120 epochs; seeds 0." in filled.caption
+    copies = fill(TABLES["blocktower"], pd.DataFrame(runs[-1:]))
+    assert "400 test experiments; seeds 0." in copies.caption
 
 
 def test_a_caption_says_which_positions_were_tested() -> None:

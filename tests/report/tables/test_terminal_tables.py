@@ -74,6 +74,7 @@ def test_empty_rows_and_columns_are_left_out() -> None:
 def test_the_overview_tells_mse_epochs_seeds_and_failures() -> None:
     lines = [
         *(run("cophynet", seed=seed) for seed in range(3)),
+        run("cophynet", seed=3, epochs=20),
         run("copy_c", training_seconds=0.0, is_trained=False),
         run("cophynet", split="3to4") | {"error": "broken"},
         run("in", positions="derendered"),
@@ -84,7 +85,7 @@ def test_the_overview_tells_mse_epochs_seeds_and_failures() -> None:
         "blocktower, size small, true positions",
     ]
     table = found["blocktower, size small, true positions"]
-    assert table.loc["cophynet"].to_dict() == {"3to3": "0.200 (40 × 3)", "3to4": "1 failed"}
+    assert table.loc["cophynet"].to_dict() == {"3to3": "0.200 (20, 40 × 3)", "3to4": "1 failed"}
     assert table.loc["copy_c"].to_dict() == {"3to3": "0.200 (× 1)", "3to4": "—"}
 
 

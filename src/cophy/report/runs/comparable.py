@@ -7,9 +7,9 @@ def of_seeds(runs: pd.DataFrame) -> pd.DataFrame:
     """Of finished runs of one row and size, those of the longest training and of the de-renderer that most of them saw.
 
     Args:
-        runs: See `read_runs`.
+        runs: See `read_runs`; `epochs` may be NaN where nothing was trained.
     """
-    longest = runs[runs["epochs"] == runs["epochs"].max()]
+    longest = runs if runs["epochs"].isna().all() else runs[runs["epochs"] == runs["epochs"].max()]
     if "derenderer" not in longest or longest["derenderer"].nunique() < 2:
         return longest
     return longest[longest["derenderer"] == longest["derenderer"].mode().iloc[0]]

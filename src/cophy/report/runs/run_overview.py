@@ -14,7 +14,7 @@ MISSING = "—"
 def overviews(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Title to a table of rows × splits. A cell holds MSE, epochs (where anything was trained) and number of seeds.
 
-    Of trainings of several lengths, the MSE is that of the longest.
+    Of trainings of several lengths, MSE and seeds are those of the longest.
 
     Args:
         runs: See `read_runs`.
@@ -44,5 +44,6 @@ def _text(runs: pd.DataFrame) -> str:
         return failed
     lengths = sorted(finished.loc[finished["is_trained"].astype(bool), "epochs"].astype(int).unique())
     epochs = ", ".join(map(str, lengths))
-    text = f"{of_seeds(finished)['mse'].mean():.3f} ({epochs} × {len(finished)})".replace("( ", "(")
+    compared = of_seeds(finished)
+    text = f"{compared['mse'].mean():.3f} ({epochs} × {len(compared)})".replace("( ", "(")
     return text if len(finished) == len(runs) else f"{text}, {failed}"

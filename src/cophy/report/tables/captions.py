@@ -28,13 +28,12 @@ def caption(table: PaperTable, used: pd.DataFrame) -> str:
     notes = [f"Each cell: ours / the paper's. {better} is better."]
     if used.empty:
         return " ".join([*notes, "Nothing was run yet."])
-    counts = ("num_train", "num_test", "epochs", "seed")  # floats where some run failed and has none
-    num_train, num_test, epochs, seeds = (
-        ", ".join(map(str, sorted(used[name].astype(int).unique()))) for name in counts
-    )
+    num_train, num_test, seeds = (_listed(used[name]) for name in ("num_train", "num_test", "seed"))
+    trained = used[used["is_trained"].astype(bool)]  # copies and oracles have epochs, too, that nobody went through
+    epochs = "" if trained.empty else f" {_listed(trained['epochs'])} epochs;"
     size = ", ".join(sorted(used["size"].unique()))
     notes.append(" ".join(TESTED_ON[positions] for positions in sorted(used["positions"].unique())))
-    notes.append(f"Size {size}: {num_train} training and {num_test} test experiments; {epochs} epochs; seeds {seeds}.")
+    notes.append(f"Size {size}: {num_train} training and {num_test} test experiments;{epochs} seeds {seeds}.")
     notes.append(
         "[ ]: 95 % bootstrap interval over the twin pairs of the test split; ±: standard deviation over seeds."
     )
@@ -50,3 +49,8 @@ def caption(table: PaperTable, used: pd.DataFrame) -> str:
         named = sorted({f"{run.model} seed {run.seed} ({run.predictor})" for run in before.itertuples()})
         notes.append(f"Not trained here but given as checkpoints (by hash): {', '.join(named)}.")
     return " ".join([*notes, table.note]).strip()
+
+
+def _listed(counts: "pd.Series[float]") -> str:
+    """Each once; they are floats where some run failed and has none."""
+    return ", ".join(map(str, sorted(counts.astype(int).unique())))
