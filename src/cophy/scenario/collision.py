@@ -93,12 +93,12 @@ class Collision(SimulatedSearch):
         raise no_room("collision", "scenario.displacement leaves no scenario.min_gap between the objects")
 
     def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
-        """Whether the sequence stays in sight and gains no energy from an impact that the solver resolves wrongly.
+        """Whether the sequence stays in sight and gains no energy from an impact that the solver resolves wrongly."""
+        return super().is_admissible(scene, trajectory) and largest_gain(scene, trajectory) <= self.max_energy_gain
 
-        Headings are any, so what is in sight is round.
-        """
-        furthest = np.linalg.norm(trajectory.positions[..., :2], axis=-1).max()
-        return bool(furthest <= self.extent and largest_gain(scene, trajectory) <= self.max_energy_gain)
+    def distance_in_sight(self, position: np.ndarray) -> np.ndarray:
+        """See `SimulatedSearch`; headings are any, so what is in sight is round."""
+        return np.asarray(np.linalg.norm(position[..., :2], axis=-1))
 
     def _body(self, shape: Shape, slot: int, centre: np.ndarray) -> Body:
         """An object that lies or stands on the floor."""

@@ -10,6 +10,7 @@ from cophy.dataset.replay import do_operation_of, scene_of, trajectories_of
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.store.experiment_arrays import CONFOUNDERS_OF_OBJECTS
 from cophy.scenario.physics.energy import largest_gain
+from cophy.scenario.search.simulated import SimulatedSearch
 
 ROUNDING_TOLERANCE_M = 1e-5  # of float32
 MAX_PENETRATION = 0.05  # penetration as a share of an object's size: what Bullet needs to turn the fastest balls around (docs/benchmark/physics.md)
@@ -30,8 +31,8 @@ def states(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     if finite:
         yield _do_operations(arrays)
         yield from places(arrays, spec.scenario.object_size_m)
-        if spec.scenario.sight_extent_m is not None:
-            yield _in_sight(arrays, spec.scenario.sight_extent_m)
+        if isinstance(spec.scenario, SimulatedSearch):
+            yield _in_sight(arrays, spec.scenario)
         yield _energy(arrays, spec)
 
 
@@ -79,12 +80,12 @@ def places(arrays: Arrays, size_m: float) -> Iterator[Check]:
     yield Check("objects are above the floor, centres at least", f"{lowest:.3f} m ≥ {above:g} m", bool(lowest >= above))
 
 
-def _in_sight(arrays: Arrays, extent_m: float) -> Check:
-    position = arrays["states"][..., :2]
+def _in_sight(arrays: Arrays, scenario: SimulatedSearch) -> Check:
+    position = arrays["states"][..., :3]
     seen = np.broadcast_to(arrays["presence"][:, :, None], position.shape[:-1])
-    furthest = np.abs(position[seen]).max()
-    inside = bool(furthest <= extent_m + ROUNDING_TOLERANCE_M)
-    return Check("objects stay in sight", f"{furthest:.2f} m ≤ {extent_m:g} m", inside)
+    furthest = scenario.distance_in_sight(position[seen]).max()
+    inside = bool(furthest <= scenario.extent + ROUNDING_TOLERANCE_M)
+    return Check("objects stay in sight", f"{furthest:.2f} m ≤ {scenario.extent:g} m", inside)
 
 
 def _energy(arrays: Arrays, spec: DatasetSpec) -> Check:

@@ -134,4 +134,8 @@ class SimulatedSearch(Scenario):
 
     def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
         """Whether a simulated sequence may be kept: every object stays in sight."""
-        return bool(np.abs(trajectory.positions[..., :2]).max() <= self.extent)
+        return bool(self.distance_in_sight(trajectory.positions).max() <= self.extent)
+
+    def distance_in_sight(self, position: np.ndarray) -> np.ndarray:
+        """(..., 3) -> (...) how far from the origin positions are, as `extent` counts it, metres: the larger of x and y."""
+        return np.asarray(np.abs(position[..., :2]).max(axis=-1))

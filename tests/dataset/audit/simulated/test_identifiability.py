@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cophy.dataset.audit.simulated.identifiability import identifiability
+from cophy.dataset.audit.simulated.identifiability import _line, identifiability
 from cophy.dataset.replay import do_operation_of, scene_of
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.store.experiment_arrays import to_arrays
@@ -39,6 +39,13 @@ def test_how_a_tower_falls_tells_what_becomes_of_c(few_configurations: DatasetSp
     checks = list(identifiability(first_pairs, few_configurations, pairs=2))
     assert [check.found.split(" ≥")[0] for check in checks] == ["in 100.0% of 4 experiments"] * 2
     assert all(check.passed for check in checks)
+
+
+def test_a_limit_is_lowered_by_chance_alone() -> None:
+    """Three standard deviations of a share of 98 % are 6.6 points in 40 experiments, 2.1 in 400 and 0.7 in 4,000."""
+    for count, passing, failing in ((40, 0.92, 0.91), (400, 0.96, 0.955), (4000, 0.974, 0.972)):
+        assert _line("", passing, 0.98, count, enumerated=True).passed
+        assert not _line("", failing, 0.98, count, enumerated=True).passed
 
 
 def test_an_ab_that_tells_nothing_is_caught(few_configurations: DatasetSpec, first_pairs: dict) -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from tqdm import tqdm
 
-from cophy.dataset.audit.checks import Arrays, Check, tolerance
+from cophy.dataset.audit.checks import Arrays, Check, by_chance
 from cophy.dataset.replay import do_operation_of, scene_of
 from cophy.dataset.spec import DatasetSpec
 from cophy.scenario import Scenario, Simulator
@@ -52,7 +52,7 @@ def identifiability(arrays: Arrays, spec: DatasetSpec, pairs: int) -> Iterator[C
 def _line(name: str, share: float, least: float, count: int, enumerated: bool) -> Check:
     text = f"in {share:.1%} of {count} experiments"
     limit = f" ≥ {least:.0%}, up to chance" if enumerated else " (no limit: too many to try all)"
-    return Check(name, text + limit, bool(not enumerated or share >= least - tolerance(least, count)))
+    return Check(name, text + limit, bool(not enumerated or share >= least - by_chance(least, count)))
 
 
 def _agreements(
