@@ -34,6 +34,23 @@ def test_towers_are_read_as_they_are_stored(towers: CoPhyTree) -> None:
     assert arrays["twin"].tolist() == [0, 1, 2, 3]  # nobody is anybody's twin
 
 
+def test_columns_of_cd_are_those_that_its_colors_name(tree: CoPhyTree) -> None:
+    """A file with a column per block, from which the middle block was removed."""
+    directory, *_ = (tree.tower(name) for name in "0123")
+    tree.lists("blocktowerCF", "_3_normal", **LISTS)
+    slots = [TOWER_COLORS.index(text.strip()) for text in (directory / "ab/colors.txt").read_text().split("color=")[1:]]
+    left = [slots[0], slots[2]]
+    ab, cd = (np.load(directory / part / "states.npy") for part in ("ab", "cd"))
+    np.save(directory / "ab/states.npy", ab[:, slots])
+    np.save(directory / "cd/states.npy", cd[:, left])
+    (directory / "cd/colors.txt").write_text(
+        "from bottom to top\n" + "".join(f"color={TOWER_COLORS[s]}\n" for s in left)
+    )
+    states = load("cophy", "blocktower", tree.root)["states"][0]
+    np.testing.assert_allclose(states[1][:, left], cd[:, left], rtol=1e-6)
+    assert not states[1][:, slots[1]].any()
+
+
 def test_noise_in_confounders_is_rounded_to_the_grid(tree: CoPhyTree) -> None:
     for name in "0123":
         tree.balls(name)

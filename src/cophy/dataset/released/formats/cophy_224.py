@@ -42,7 +42,8 @@ class CoPhy:
         if cd.shape[1] > ab.shape[1] or (padded and cd.shape[1] != ab.shape[1]):
             raise BrokenExperimentError(f"states.npy of AB have {ab.shape[1]} objects, of CD {cd.shape[1]}")
         slots = list(range(scenario.num_slots)) if padded else _slots(ab, list(types), values)
-        states = np.stack([in_slots(columns, slots, scenario.num_slots) for columns in (ab, cd)])
+        left = slots if padded else _slots_left(directory / "cd" / "colors.txt", slots, cd.shape[1], scenario)
+        states = np.stack([in_slots(*each, scenario.num_slots) for each in ((ab, slots), (cd, left))])
         known = bool(types) or ab.shape[1] > len(np.flatnonzero(ab[0].any(axis=-1)))
         if not known:
             values = np.full_like(values, np.nan)
@@ -91,6 +92,16 @@ def _slots(ab: np.ndarray, listed: list[int], values: np.ndarray) -> list[int]:
     if len(slots) != ab.shape[1]:
         raise BrokenExperimentError(f"states.npy has {ab.shape[1]} objects, {source} {len(slots)}")
     return slots
+
+
+def _slots_left(path: Path, slots: list[int], num_columns: int, scenario: Scenario) -> list[int]:
+    """The slot of each column of CD: as its colors.txt lists them, or else, where the top block was removed, those below."""
+    listed = list(_types_by_slot(path, scenario))
+    if len(listed) != num_columns:
+        return slots
+    if unknown := sorted(set(listed) - set(slots)):
+        raise BrokenExperimentError(f"cd/colors.txt lists {list(scenario.colors)[unknown[0]]}, which is not in AB")
+    return listed
 
 
 def _confounders(path: Path, scenario: Scenario) -> np.ndarray:
