@@ -1,6 +1,7 @@
 """Resume, repair, and the same bytes however a dataset is generated."""
 
 import errno
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 from filelock import FileLock
 
 from cophy.atomic_files import appearing_whole
+from cophy.dataset import generation
 from cophy.dataset.spec import FORMAT_VERSION
 from cophy.dataset.store.manifest import MANIFEST
 from cophy.dataset.store.states import States
@@ -50,6 +52,21 @@ def test_a_killed_generation_continues_to_the_same_bytes(finished: Path, tmp_pat
     generate(tmp_path, workers=2)
     assert digests(directory) == digests(finished)
     assert not list(directory.glob("*.tmp"))
+
+
+def test_processes_of_the_caller_outlive_a_failed_generation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    own.start()
+    monkeypatch.setattr(generation, "wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        generate(tmp_path, workers=1)
+    assert own.is_alive()
+    own.terminate()
+    own.join()
+
+
+def interrupted(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
 
 
 def test_a_truncated_shard_is_named_with_its_remedy_and_made_again(

@@ -112,6 +112,7 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
         multiprocessing.set_start_method("spawn", force=True)  # a job of joblib: its "loky" is unknown to its children
     done = context.Value("q", 0)
     start, took, told = time.monotonic(), defaultdict[str, float](float), False
+    before = multiprocessing.active_children()  # of a script of one's own; those are not ours to end
     with (
         progress_bar(shards.title, total) as advance_to,
         ProcessPoolExecutor(min(workers, len(missing)), context, _start_worker, (done,)) as pool,
@@ -137,7 +138,8 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
             ) from error
         except BaseException:
             for worker in multiprocessing.active_children():
-                worker.terminate()
+                if worker not in before:
+                    worker.terminate()
             raise
     each = ", ".join(f"{value / max(total, 1):.3g} {what}" for what, value in took.items())
     log.info("%d experiments in %.0f s; per experiment %s", total, time.monotonic() - start, each)

@@ -8,6 +8,7 @@ import pytest
 from cophy.dataset import generation
 from cophy.dataset.pictures.estimates import Estimates
 from cophy.dataset.pictures.images import Images
+from cophy.dataset.pictures.needed_frames import TEST_INPUTS
 from cophy.errors import CophyError
 from tests.dataset.pictures.rendered import RENDER, copy_images
 
@@ -35,3 +36,13 @@ def test_estimates_of_other_pictures_are_made_again(
     for path in copied.directory.glob("*"):
         path.unlink()
     assert estimates.load()["position"].shape == (48, 2, 15, 4, 3)  # pictures may go once they were seen
+
+
+def test_estimates_of_a_set_with_more_pictures_are_not_compared_with_others(rendered: Images, tmp_path: Path) -> None:
+    copied = copy_images(rendered, tmp_path)
+    estimates = Estimates(copied.states, Guess(), TEST_INPUTS)
+    generation.make(estimates, workers=1)
+    for path in copied.directory.iterdir():
+        path.unlink()
+    generation.make(copied.states.frames(RENDER, TEST_INPUTS), workers=1)  # drawn later, for somebody else
+    assert estimates.load()["position"].shape == (48, 2, 15, 4, 3)

@@ -1,17 +1,21 @@
 """What a de-renderer sees in the frames of a dataset, in shards beside the states that the pictures show."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
+import h5py
 import numpy as np
 
 from cophy.dataset import generation
 from cophy.dataset.pictures.needed_frames import ALL, NeededFrames
 from cophy.dataset.store.experiment_set import ExperimentSet
-from cophy.dataset.store.hdf5_arrays import Field, Fields, creating
+from cophy.dataset.store.hdf5_arrays import Field, Fields, attribute, creating, reading
 from cophy.dataset.store.shardset import ShardSet
 from cophy.scenario.rendering.frames import RenderSettings
+
+PICTURES = "images_sha256"  # attribute of a file: of the pictures that were seen
 
 
 class Sees(Protocol):
@@ -79,8 +83,14 @@ class Estimates(ShardSet):
         """States and pictures; these may be deleted once they were seen."""
         sources = {"states_sha256": self.states.checksum(shard)}
         if pictures := self.frames.checksums():
-            sources["images_sha256"] = pictures[self.path(shard).name]
+            sources[PICTURES] = pictures[self.path(shard).name]
         return sources
+
+    def opened(self, path: Path, shard: int) -> AbstractContextManager[dict[str, h5py.Dataset]]:
+        sources = self.sources(shard)
+        if attribute(path, PICTURES) is None:  # a set with more pictures was seen
+            sources.pop(PICTURES, None)
+        return reading(path, self.fields(shard), sources)
 
     def description(self) -> dict[str, Any]:
         """Which checkpoint saw which pictures."""
