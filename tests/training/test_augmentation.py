@@ -179,6 +179,9 @@ def test_noise_is_as_large_as_asked_and_d_stays_true() -> None:
     assert 0.1 < deviation.max() < 0.12  # with an estimate's own spread
     assert 0.045 < deviation.mean() < 0.055
     assert deviation.min() < 0.01  # nearly true ones are among them
+    absent = torch.zeros_like(batch.inputs.presence)
+    some = replace(batch, inputs=replace(batch.inputs, presence=absent, observed_presence=absent))
+    assert torch.equal(disturb(some, 0.1, (0, 1, 2)).inputs.observed, batch.inputs.observed)  # empty slots stay zero
     off = seen.inputs.initial - batch.inputs.initial
     torch.testing.assert_close(off.std(), torch.tensor(0.1 / 3**0.5), rtol=0.1, atol=0)
     for device in range(2):

@@ -13,7 +13,7 @@ from cophy.types import CONFOUNDERS, Inputs, Prediction, true_confounders
 
 
 class CopyC(nn.Module):
-    """D is C: nothing moves, every object is stable (paper Tables 1-4, 7)."""
+    """D is C: nothing moves, every object is stable (paper Tables 1-4, 6, 7)."""
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Repeat the initial positions for every step."""
@@ -22,13 +22,15 @@ class CopyC(nn.Module):
 
 
 class CopyB(nn.Module):
-    """D is B: the do-operation changed nothing (paper Tables 1-4, 7)."""
+    """D is B: the do-operation changed nothing (paper Tables 1-4, 6, 7)."""
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Repeat the observed positions and stability, step for step."""
-        seen = inputs.observed_presence[:, None, :, None]  # what a de-renderer missed in AB stays where it is in C
-        position = torch.where(seen, inputs.observed[:, 1:], inputs.initial[:, None])
-        return Prediction(position, stable_logit=2 * inputs.observed_stable.to(position.dtype) - 1)
+        missed = (inputs.presence & ~inputs.observed_presence)[
+            :, None
+        ]  # by a de-renderer in AB: it stays where it is in C
+        position = torch.where(missed[..., None], inputs.initial[:, None], inputs.observed[:, 1:])
+        return Prediction(position, stable_logit=2 * (inputs.observed_stable | missed).to(position.dtype) - 1)
 
 
 class InteractionNetwork(nn.Module):

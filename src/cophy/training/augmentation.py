@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cophy.dataset.feed.batch_order import ALONE, Share
@@ -61,12 +61,15 @@ def disturb(batch: Batch, most: float, draw: tuple[int, ...], share: Share = ALO
     rng, inputs = np.random.default_rng((*draw, len(draw))), batch.inputs  # other numbers than those of `augment`
     deviation = rng.uniform(0, most, share.devices * len(batch)).astype(np.float32)
 
-    def off(position: Float[Tensor, "batch *any 3"]) -> Float[Tensor, "batch *any 3"]:
+    def off(
+        position: Float[Tensor, "batch *any 3"], presence: Bool[Tensor, "batch *any"]
+    ) -> Float[Tensor, "batch *any 3"]:
         shape = (len(deviation), *position.shape[1:])
         noise = rng.standard_normal(shape, dtype=np.float32) * deviation.reshape(-1, *[1] * (len(shape) - 1))
-        return position + torch.from_numpy(noise[share.rank :: share.devices]).to(position)
+        return position + torch.from_numpy(noise[share.rank :: share.devices]).to(position) * presence[..., None]
 
-    return replace(batch, inputs=replace(inputs, observed=off(inputs.observed), initial=off(inputs.initial)))
+    observed = off(inputs.observed, inputs.observed_presence[:, None].expand(inputs.observed.shape[:-1]))
+    return replace(batch, inputs=replace(inputs, observed=observed, initial=off(inputs.initial, inputs.presence)))
 
 
 def _turned(

@@ -37,7 +37,7 @@ def test_the_same_run_forgets_its_earlier_results_when_it_begins(run: Run) -> No
         finish(run)
     with claimed(run) as claim:
         assert (run.directory / "metrics.json").exists()
-        claim.begin(trains=True)
+        claim.begin(tests_checkpoint=False)
         assert not (run.directory / "metrics.json").exists()
 
 
@@ -69,7 +69,7 @@ def test_results_without_a_variant_are_those_of_their_names(run: Run) -> None:
     with pytest.raises(CophyError, match=r"is of another run \(seed=1\)"), claimed(replace(run, seed=2)):
         raise AssertionError("replaced")
     with claimed(run) as claim:
-        claim.begin(trains=True)
+        claim.begin(tests_checkpoint=False)
         assert not path.exists()
 
 

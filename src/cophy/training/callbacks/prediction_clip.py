@@ -1,4 +1,4 @@
-"""A clip of experiments below each other: AB, the true CD and the predicted CD, drawn from positions."""
+"""A clip of twins below each other, or of one experiment: AB, the true CD and the predicted CD, drawn from positions."""
 
 import cv2
 import numpy as np
@@ -48,7 +48,8 @@ class PredictionClip:
     def of(self, predicted: np.ndarray) -> tuple[np.ndarray, float]:
         """(N, T, K, 3) predicted positions in CD -> frames (T', H, W, 3) uint8, and how many to show in a second."""
         columns, rate = [*self.truth, self._rendered(predicted, self.presence)], self.scenario.clock.frame_rate_hz
-        names = [text_block([Line(f"twin {n}", bold=True)], LABEL_PX) for n in range(1, len(predicted) + 1)]
+        said = [f"twin {n}" for n in range(1, len(predicted) + 1)] if len(predicted) > 1 else [""]
+        names = [text_block([Line(name, bold=True)] if name else [], LABEL_PX) for name in said]
         frames = []
         for n, time in enumerate(self.times.tolist()):
             top = [text_block([Line(heading), Line(at(time, rate))], RESOLUTION) for heading in HEADINGS]

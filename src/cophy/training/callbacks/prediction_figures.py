@@ -57,7 +57,7 @@ class DrawnPredictions:
         self.clip: PredictionClip | None = None
 
     def add(self, writer: SummaryWriter, prediction: Prediction, step: int) -> None:
-        """Draw trajectories, the error over time, and a clip of one twin pair.
+        """Draw trajectories, the error over time, and a clip of one twin pair, or of one experiment.
 
         Args:
             writer: Of TensorBoard.
@@ -87,10 +87,13 @@ class DrawnPredictions:
         add_clip(writer, f"{self.split}/clip", frames, frames_per_second=frames_per_second, step=step)
 
     def _pair(self) -> slice:
-        """The twins among the shown whose true D differ most."""
+        """The twins among the shown whose true D differ most; one experiment where there are no twins (released data)."""
         position, pair = self.shown.targets.position, self.shown.targets.pair
-        apart = (position[1:] - position[:-1]).square().sum(dim=(1, 2, 3)) * (pair[1:] == pair[:-1])
-        first = int(apart.argmax()) if len(apart) else 0
+        twins = pair[1:] == pair[:-1]
+        if not twins.any():
+            return slice(0, 1)
+        apart = (position[1:] - position[:-1]).square().sum(dim=(1, 2, 3)) * twins
+        first = int(apart.argmax())
         return slice(first, first + 2)
 
 

@@ -24,16 +24,16 @@ class Claim:
     def __init__(self, run: Run) -> None:
         self.run, self.has_begun = run, False
 
-    def begin(self, *, trains: bool) -> None:
+    def begin(self, *, tests_checkpoint: bool) -> None:
         """Forget earlier results of the run. What is refused before, by a wrong key or missing data, costs none.
 
         Args:
-            trains: Whether it trains what it tests. If not, the results of a training are left alone.
+            tests_checkpoint: Whether it tests a given checkpoint (predictor=). Then the results of a training are left alone.
 
         Raises:
             CophyError: There are such results.
         """
-        if is_first() and not trains and _is_of_training(self.run):
+        if is_first() and tests_checkpoint and _is_of_training(self.run):
             raise CophyError(
                 f"{self.run.directory / METRICS} is of a training with these settings: keep the results of predictor= "
                 "elsewhere (source.outputs=), or remove it"

@@ -90,7 +90,7 @@ def carry_out(claim: Claim, stage: Stage, plan: Plan, origin: Origin) -> dict[st
             if given is not None and not stage.learns:
                 raise CophyError(f"{key}={given}: {run.model} has nothing to train or to restore")
         if not plan.is_trial:  # a trial leaves all as it is
-            claim.begin(trains=plan.predictor is None)
+            claim.begin(tests_checkpoint=plan.predictor is not None)
         if plan.predictor is not None:
             best = plan.predictor
         elif stage.learns:

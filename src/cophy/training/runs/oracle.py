@@ -48,7 +48,7 @@ def carry_out_oracle(
     prediction = forecast(data, oracle, settings)
     asked = take(data.test.batch, slice(len(prediction.position)))
     targets = asked.targets
-    claim.begin(trains=True)
+    claim.begin(tests_checkpoint=False)
     if not is_first():
         return
     run = claim.run
