@@ -52,6 +52,13 @@ def test_no_line_is_long(page: Path) -> None:
 
 
 @pages
+def test_every_table_has_a_header(page: Path) -> None:
+    """A blank line within one makes its rest a paragraph."""
+    blocks = re.findall(r"(?:^ *\|.*\n)+", FENCE.sub("", page.read_text()) + "\n", flags=re.MULTILINE)
+    assert [block.splitlines()[0] for block in blocks if not re.match(r".*\n *\|[-:| ]+\|\n", block)] == []
+
+
+@pages
 def test_no_line_of_prose_starts_with_a_percent_sign(page: Path) -> None:
     """Sphinx takes it as a comment."""
     assert re.findall(r"^%.*", FENCE.sub("", page.read_text()), flags=re.MULTILINE) == []

@@ -7,11 +7,6 @@ TURNS = 64  # ours: by 5.6° each; a multiple of 4, so that the symmetries of a 
 QUARTER_TURN = np.array([[0, -1], [1, 0]])
 
 
-def mirror() -> np.ndarray:
-    """(2, 2, 2) leave as it is, or mirror y."""
-    return np.stack([np.eye(2, dtype=int), MIRROR_Y])
-
-
 def disc(turns: int) -> np.ndarray:
     """(2 · turns, 2, 2) rotations by all multiples of 360° / turns, each without and with a reflection."""
     angles = 2 * np.pi * np.arange(turns) / turns

@@ -73,6 +73,6 @@ def in_order(groups: np.ndarray, batch_size: int, share: Share) -> list[list[int
     items = np.split(np.arange(len(groups)), first[1:])
     shares = [items[part[0] : part[-1] + 1] for part in np.array_split(np.arange(len(items)), share.devices)]
     most = max(sum(map(len, each)) for each in shares)
-    num_batches = min(-(-most // batch_size), *map(len, shares), len(items))
+    num_batches = min(-(-most // batch_size), *map(len, shares))
     batches = np.array_split(np.arange(len(shares[share.rank])), num_batches)
     return [[int(item) for group in batch for item in shares[share.rank][group]] for batch in batches]

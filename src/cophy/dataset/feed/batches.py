@@ -19,7 +19,7 @@ def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
 
 
 def frames_of(arrays: dict[str, np.ndarray], scenario: Scenario) -> dict[str, np.ndarray]:
-    """What batches are made of: a quarter of the states, one for each frame.
+    """What batches are made of: one of the states for each frame.
 
     Args:
         arrays: Of experiments, as they are stored.

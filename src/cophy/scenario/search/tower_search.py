@@ -164,7 +164,10 @@ def _every(towers: Towers) -> np.ndarray:
 
 
 def _separable(first: Confounders, second: Confounders, *, num_levels: int) -> bool:
-    """Whether some tower stands under one and falls under the other: gravity differs, or the upper blocks' mass ratios."""
+    """Whether towers are looked for that stand under one and fall under the other: gravity, or upper blocks' mass ratios, differ.
+
+    Where only the lowest block's mass differs, there are some, because the ground sees that mass; they are too rare to look for.
+    """
     upper = [np.array(confounders.mass[1:num_levels]) for confounders in (first, second)]
     ratios = [mass / mass[0] for mass in upper]
     return first.gravity_xy != second.gravity_xy or not np.allclose(*ratios)
