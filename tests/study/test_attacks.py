@@ -184,6 +184,7 @@ def test_what_is_no_address_of_ours_writes_nothing(site: Site, origin: str) -> N
     [
         *({}, {"agreed": False}, {"agreed": "yes"}, []),
         *({"agreed": True, "platform_id": each} for each in ("x" * 129, "", 3, "\ud800", "a\udfffb")),
+        *({"agreed": True, "token": each} for each in ("", 3, "a" * 42, "a" * 44, "ä" * 43, "a" * 43 + "\n", ["a"])),
     ],
 )
 def test_nothing_begins_without_consent(site: Site, body: Any) -> None:

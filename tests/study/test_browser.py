@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import uvicorn
-from playwright.sync_api import Page, ViewportSize, sync_playwright
+from playwright.sync_api import Page, Route, ViewportSize, sync_playwright
 
 from cophy.app.composition import settings
 from cophy.dataset.store.states import States
@@ -203,3 +203,64 @@ def test_a_server_that_is_away_is_told(page: Page, served: tuple[Site, str], how
     page.unroute("**/api/*")
     page.reload()
     page.locator("text=I agree, begin").wait_for()
+
+
+def test_a_lost_answer_to_consent_begins_nobody_twice(page: Page, served: tuple[Site, str]) -> None:
+    site, address = served
+    lost = []
+
+    def lose(route: Route) -> None:
+        route.fetch()
+        lost.append(route)
+        route.abort()
+
+    page.route("**/api/consent", lose, times=1)
+    page.goto(f"{address}/?participant=somebody")
+    press(page, "text=I agree, begin", "mouse")
+    page.locator("button:has-text('Ready')").wait_for()
+    assert len(lost) == 1
+    assert site.rows("SELECT count(*) FROM participants") == [(1,)]
+
+
+def test_the_next_person_at_a_browser_begins_anew(page: Page, served: tuple[Site, str]) -> None:
+    site, address = served
+    for count, person in enumerate(("first", "second"), start=1):
+        page.goto(f"{address}/?participant={person}")
+        press(page, "text=I agree, begin", "mouse")
+        page.locator("button:has-text('Ready')").wait_for()
+        assert site.rows("SELECT count(*) FROM participants") == [(count,)]
+
+
+REFUSED_ONCE = """
+const play = HTMLMediaElement.prototype.play;
+let first = true;
+HTMLMediaElement.prototype.play = function () {
+  if (!first) return play.call(this);
+  first = false;
+  return Promise.reject(new DOMException("", NAME));
+};
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "choice"),
+    [("NotAllowedError", "Press Play to watch", "Play"), ("NotSupportedError", "cannot play the clip", "Try again")],
+)
+def test_a_browser_that_does_not_play_at_once_is_told_so(
+    page: Page, served: tuple[Site, str], tmp_path: Path, name: str, said: str, choice: str
+) -> None:
+    _, address = served
+    page.add_init_script(REFUSED_ONCE.replace("NAME", repr(name)))
+    page.goto(address)
+    press(page, "text=I agree, begin", "mouse")
+    for _ in range(2):  # one of the first two tasks has a clip
+        press(page, "button:has-text('Ready')", "mouse")
+        page.locator(f"text={said}").or_(page.locator(".say strong")).wait_for()
+        if page.locator(f"text={said}").count():
+            break
+        place_all(page, "mouse", tmp_path)
+        press(page, "button:has-text('Continue')", "mouse")
+    page.screenshot(path=tmp_path / "refused.png")
+    press(page, f"button:has-text('{choice}')", "mouse")
+    page.wait_for_selector(".say strong", timeout=20_000)
+    assert page.locator("button:has-text('Done')").is_disabled()

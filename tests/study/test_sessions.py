@@ -106,6 +106,32 @@ def test_the_id_of_a_platform_takes_part_once_and_is_not_stored(site: Site, tmp_
     assert not [path for path in tmp_path.glob("answers.sqlite*") if b"5f3c0ffee" in path.read_bytes()]
 
 
+def test_another_id_in_the_same_browser_is_another_person(site: Site) -> None:
+    """A laboratory's computer, on which one person follows another."""
+    browser = site.visitor()
+    assert browser.post("/api/consent", json={"agreed": True, "platform_id": "1"}).status_code == 200
+    take_one(browser)
+    for known in ({}, {"platform_id": "1"}):
+        assert browser.get("/api/place", params=known).json()["position"] == 1
+    assert browser.get("/api/place", params={"platform_id": "2"}).status_code == 401
+    assert browser.post("/api/consent", json={"agreed": True, "platform_id": "2"}).json()["position"] == 0
+    assert browser.get("/api/place", params={"platform_id": "2"}).json()["position"] == 0
+    assert browser.post("/api/consent", json={"agreed": True, "platform_id": "1"}).status_code == 409
+    assert site.rows("SELECT count(*) FROM participants") == [(2,)]
+
+
+@pytest.mark.parametrize("named", [{}, {"platform_id": "somebody"}], ids=["nobody", "somebody"])
+def test_a_consent_whose_answer_was_lost_is_the_same_when_it_is_sent_again(site: Site, named: dict[str, str]) -> None:
+    content = {"agreed": True, "token": "a-_" * 14 + "b", **named}
+    lost, again, another = site.visitor(), site.visitor(), site.visitor()
+    assert lost.post("/api/consent", json=content).status_code == 200
+    assert again.post("/api/consent", json=content).status_code == 200
+    assert site.rows("SELECT count(*) FROM participants") == [(1,)]
+    take_one(again)
+    other = another.post("/api/consent", json=content | {"token": "c" * 43})
+    assert other.status_code == (409 if named else 200)
+
+
 def test_another_size_of_the_study_does_not_take_over_its_people(site: Site) -> None:
     browser = site.participant()
     site.study.sessions.study = "another"

@@ -25,6 +25,8 @@ SELECT min(number) FROM (SELECT 0 AS number UNION ALL SELECT number + 1 FROM tak
 WHERE number NOT IN (SELECT number FROM taken)
 """
 
+OF_TOKEN = "SELECT id, code, platform_hash FROM participants WHERE token_hash=? AND study=? AND kind=?"
+
 
 class RefusedError(Exception):
     """What a browser asked for is not allowed; `status` is of HTTP."""
@@ -58,10 +60,9 @@ class Sessions:
         practice: Sequence[Assignment],
         plan: Callable[[int], Sequence[Assignment]],
         slots_of: Callable[[int], set[int]],
-        now: Callable[[], float] = time.time,
     ) -> None:
         self.store, self.settings, self.study, self.kind = store, settings, study, kind
-        self.practice, self.slots_of, self.now = list(practice), slots_of, now
+        self.practice, self.slots_of, self.now = list(practice), slots_of, time.time
         self._plan = plan
         with store.transaction() as db:
             db.execute("INSERT OR IGNORE INTO studies VALUES (?, ?)", (study, description))
@@ -77,23 +78,23 @@ class Sessions:
         """Practice and assignments of one participant."""
         return len(self.practice) + self.settings.num_per_person
 
-    def consent(self, platform_id: str | None) -> str:
+    def consent(self, platform_id: str | None, token: str | None = None) -> str:
         """A new participant's token, which nobody can guess; only its hash is kept, and that of the platform's id.
+
+        Args:
+            platform_id: As a crowd platform calls the participant.
+            token: That the browser drew, so that a consent that is sent twice begins once; None for a new one.
 
         Raises:
             RefusedError: the platform's id takes part already.
         """
-        token, platform = secrets.token_urlsafe(NUM_TOKEN_BYTES), None
-        if platform_id is not None:
-            platform = hmac.new(self.study.encode(), platform_id.encode(), hashlib.sha256).hexdigest()
+        token, platform = token or secrets.token_urlsafe(NUM_TOKEN_BYTES), self._platform_hash(platform_id)
         with self.store.transaction() as db:
             of_study = (self.study, self.kind)
-            if (
-                platform
-                and db.execute(
-                    "SELECT 1 FROM participants WHERE study=? AND kind=? AND platform_hash=?", (*of_study, platform)
-                ).fetchone()
-            ):
+            if db.execute(OF_TOKEN, (_hash(token), *of_study)).fetchone():
+                return token
+            same = "SELECT 1 FROM participants WHERE study=? AND kind=? AND platform_hash=?"
+            if platform and db.execute(same, (*of_study, platform)).fetchone():
                 raise RefusedError(409, "This id takes part already. Go on in the browser where you began.")
             number = db.execute(FREE_NUMBER, of_study).fetchone()[0]
             code = "".join(secrets.choice(CODE_LETTERS) for _ in range(10))
@@ -104,14 +105,18 @@ class Sessions:
             )
         return token
 
-    def place(self, token: str | None) -> Place:
+    def place(self, token: str | None, platform_id: str | None = None) -> Place:
         """Where the participant is. An assignment whose time is over counts as answered without clicks.
 
+        Args:
+            token: Of the participant.
+            platform_id: As a crowd platform calls whoever asks; None where nobody says.
+
         Raises:
-            RefusedError: nobody has this token.
+            RefusedError: nobody has this token, or somebody with another id.
         """
         with self.store.transaction() as db:
-            return self._place(db, token)
+            return self._place(db, token, platform_id)
 
     def begin(self, token: str | None, position: int) -> Place:
         """The clock of the current assignment begins, once.
@@ -156,6 +161,10 @@ class Sessions:
                 db.execute("UPDATE participants SET finished_at=? WHERE id=?", (self.now(), place.participant))
             return plan[position], position < len(self.practice)
 
+    def _platform_hash(self, platform_id: str | None) -> str | None:
+        key = self.study.encode()
+        return None if platform_id is None else hmac.new(key, platform_id.encode(), hashlib.sha256).hexdigest()
+
     def _parse(self, body: Any, assignment: Assignment) -> Answer:
         last_ms = round(1000 * (self.settings.seconds + self.settings.tolerance_s))
         slots = self.slots_of(assignment.experiment)
@@ -172,12 +181,9 @@ class Sessions:
             raise RefusedError(409, "This assignment was answered already, or its time is over.")
         return bool(row["practice"])
 
-    def _place(self, db: sqlite3.Connection, token: str | None) -> Place:
-        found = db.execute(
-            "SELECT id, code FROM participants WHERE token_hash=? AND study=? AND kind=?",
-            (_hash(token or ""), self.study, self.kind),
-        ).fetchone()
-        if found is None:
+    def _place(self, db: sqlite3.Connection, token: str | None, platform_id: str | None = None) -> Place:
+        found = db.execute(OF_TOKEN, (_hash(token or ""), self.study, self.kind)).fetchone()
+        if found is None or (platform_id and found["platform_hash"] != self._platform_hash(platform_id)):
             raise RefusedError(401, "There is no such session.")
         participant = int(found["id"])
         while True:

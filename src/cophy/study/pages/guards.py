@@ -5,7 +5,6 @@ import logging
 import sqlite3
 import time
 from collections import OrderedDict
-from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -38,13 +37,13 @@ log = logging.getLogger(__name__)
 class Rate:
     """So many requests per second from one address, and so many at once after a pause."""
 
-    def __init__(self, per_second: float, at_once: float, now: Callable[[], float] = time.monotonic) -> None:
-        self._per_second, self._at_once, self._now = per_second, at_once, now
+    def __init__(self, per_second: float, at_once: float) -> None:
+        self._per_second, self._at_once = per_second, at_once
         self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()  # address -> requests left, when
 
     def allows(self, address: str) -> bool:
         """Whether one more may come now; it counts."""
-        now, most = self._now(), self._at_once
+        now, most = time.monotonic(), self._at_once
         left, before = self._left.pop(address, (most, now))
         left = min(most, left + (now - before) * self._per_second)
         self._left[address] = (left - 1 if left >= 1 else left, now)

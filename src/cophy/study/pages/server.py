@@ -27,6 +27,8 @@ COOKIE = "cophy_study"
 COOKIE_AGE_S = 7 * 24 * 3600
 MAX_PLATFORM_ID = 128  # letters
 SURROGATE = re.compile("[\ud800-\udfff]")
+CONSENT = {"agreed", "platform_id", "token"}
+TOKEN = re.compile(r"[A-Za-z0-9_-]{43}")  # 32 bytes in Base64
 KINDS = {"picture": (PICTURE, "image/png"), "clip": (CLIP, "video/webm")}
 
 
@@ -74,27 +76,29 @@ class _Pages:
 
     async def consent(self, request: Request) -> Response:
         body = await json_of(request)
-        if not isinstance(body, dict) or body.get("agreed") is not True or set(body) - {"agreed", "platform_id"}:
+        if not isinstance(body, dict) or body.get("agreed") is not True or set(body) - CONSENT:
             raise RefusedError(400, "Nothing begins without consent.")
-        platform_id = body.get("platform_id")
-        if platform_id is not None and not _is_platform_id(platform_id):
-            raise RefusedError(400, "This is no id of a platform.")
-        token = request.cookies.get(COOKIE)
+        platform_id, drawn = _checked_id(body.get("platform_id")), body.get("token")
+        if drawn is not None and not (isinstance(drawn, str) and TOKEN.fullmatch(drawn)):
+            raise RefusedError(400, "This is no token of 32 bytes.")
         try:
-            return JSONResponse(self._said(await run_sync(self._sessions.place, token)))
+            before = await run_sync(self._sessions.place, request.cookies.get(COOKIE), platform_id)
+            return JSONResponse(self._said(before))
         except RefusedError:  # nobody with this token yet
             if request.client is not None and not self._consents.allows(request.client.host):
                 raise RefusedError(
                     429, "Too many people begin from this address. Please try again in a minute."
                 ) from None
-        token = await run_sync(self._sessions.consent, platform_id)
+        token = await run_sync(self._sessions.consent, platform_id, drawn)
         response = JSONResponse(self._said(await run_sync(self._sessions.place, token)))
         secure = request.url.scheme == "https"
         response.set_cookie(COOKIE, token, COOKIE_AGE_S, httponly=True, samesite="strict", secure=secure)
         return response
 
     async def place(self, request: Request) -> Response:
-        return JSONResponse(self._said(await run_sync(self._sessions.place, request.cookies.get(COOKIE))))
+        platform_id = _checked_id(request.query_params.get("platform_id"))
+        found = await run_sync(self._sessions.place, request.cookies.get(COOKIE), platform_id)
+        return JSONResponse(self._said(found))
 
     async def begin(self, request: Request) -> Response:
         await json_of(request)
@@ -142,9 +146,17 @@ class _Pages:
         }
 
 
-def _is_platform_id(value: Any) -> bool:
-    """Text of some letters; JSON may hold halves of letters, which no address does."""
-    return isinstance(value, str) and 1 <= len(value) <= MAX_PLATFORM_ID and not SURROGATE.search(value)
+def _checked_id(value: Any) -> str | None:
+    """None, or text of some letters; JSON may hold halves of letters, which no address does.
+
+    Raises:
+        RefusedError: It is neither.
+    """
+    if value is None:
+        return None
+    if not isinstance(value, str) or not 1 <= len(value) <= MAX_PLATFORM_ID or SURROGATE.search(value):
+        raise RefusedError(400, "This is no id of a platform.")
+    return value
 
 
 async def _refused(request: Request, error: RefusedError) -> Response:

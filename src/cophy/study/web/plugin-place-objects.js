@@ -93,12 +93,27 @@ export class PlaceObjectsPlugin {
     video.src = this.jsPsych.pluginAPI.getVideoBuffer(this.task.clip);
     const ended = new Promise((done) => video.addEventListener("ended", done, { once: true }));
     if (this.task.remaining_s === null) {
-      await video.play();
+      await this.#play(video);
       await ended;
     }
     video.loop = true;
-    video.play();
+    video.play().catch(() => {}); // seen once, it may stand still
     this.part(".task").classList.remove("watching");
+  }
+
+  // Some browsers play nothing before a press, to save power.
+  async #play(video) {
+    for (;;) {
+      try {
+        return await video.play();
+      } catch (error) {
+        const refused = error.name === "NotAllowedError";
+        this.part(".say").textContent = refused
+          ? "Press Play to watch the first scene." : "This browser cannot play the clip. Please take another one.";
+        await this.#pressed(refused ? "Play" : "Try again");
+        this.part(".say").textContent = "Watch the first scene.";
+      }
+    }
   }
 
   async #run() {
@@ -249,10 +264,15 @@ export class PlaceObjectsPlugin {
     this.part(".clock").hidden = this.part(".keys").hidden = true;
     for (const item of this.part(".objects").children) item.classList.remove("next");
     this.part(".undo").hidden = this.part(".label").hidden = true;
+    await this.#pressed(choice);
+  }
+
+  async #pressed(choice) {
     const button = this.part(".done");
+    const before = button.textContent;
     Object.assign(button, { disabled: false, textContent: choice });
     button.focus();
     await new Promise((done) => button.addEventListener("click", done, { once: true }));
-    button.disabled = true;
+    Object.assign(button, { disabled: true, textContent: before });
   }
 }

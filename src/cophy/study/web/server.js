@@ -28,9 +28,14 @@ async function ask(path, body) {
   }
 }
 
-export const place = () => ask("/api/place");
+// Of whoever has this browser's cookie; nobody's where a platform calls them otherwise.
+export const place = (platformId) =>
+  ask(`/api/place${platformId ? `?platform_id=${encodeURIComponent(platformId)}` : ""}`);
 export const welcome = () => ask("/api/welcome");
+// Drawn once, so that a consent whose answer was lost is the same when it is sent again.
+const token = btoa(String.fromCharCode(...crypto.getRandomValues(new Uint8Array(32))))
+  .replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
 export const consent = (platformId) =>
-  ask("/api/consent", platformId ? { agreed: true, platform_id: platformId } : { agreed: true });
+  ask("/api/consent", { agreed: true, token, ...(platformId ? { platform_id: platformId } : {}) });
 export const begin = (position) => ask(`/api/assignments/${position}/begin`, {});
 export const answer = (position, content) => ask(`/api/assignments/${position}/answer`, content);

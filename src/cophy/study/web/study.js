@@ -11,7 +11,7 @@ const address = new URLSearchParams(window.location.search);
 const platformId = PLATFORM_KEYS.map((key) => address.get(key)).find(Boolean) ?? null;
 const jsPsych = initJsPsych({ display_element: "study" });
 
-const [first, opening] = [await server.place(), await server.welcome()];
+const [first, opening] = [await server.place(platformId), await server.welcome()];
 let place = first.status === 200 ? first.said : null; // null before consent
 let failure = null;
 if (opening.status !== 200) failure = opening.said.error;
