@@ -1,5 +1,8 @@
 python := `command -v python3.11 || command -v python3.10 || command -v python3`
 bin := ".venv/bin"
+
+# "$@" hands words to a command as they are, in quotes or not
+set positional-arguments
 # the lock is for Python 3.11; others take what pyproject.toml allows, with the same torch
 packages := if python =~ "python3.11$" { "-r requirements.lock" } else { "torch==2.13.0 -e '.[dev,docs]'" }
 
@@ -23,15 +26,15 @@ demo: setup
 
 # run the tests (minutes), or some: just test tests/models
 test *args: setup
-    {{bin}}/pytest -n 2 {{args}}
+    {{bin}}/pytest -n 2 "$@"
 
 # run the long tests too; those with a browser need Debian's chromium
 test-slow *args: setup
-    {{bin}}/pytest -m 'not cluster' {{args}}
+    {{bin}}/pytest -m 'not cluster' "$@"
 
 # run the tests on a SLURM of one node; Debian: slurmctld slurmd slurm-client
 test-cluster *args: setup
-    {{bin}}/pytest -m cluster -rs {{args}} tests/cluster
+    {{bin}}/pytest -m cluster -rs "$@" tests/cluster
 
 # format, lint and type checks
 check: setup
@@ -44,35 +47,35 @@ docs: setup
 
 # measure speed: ratios within one run
 bench *args: setup
-    {{bin}}/python benchmarks/bench.py {{args}}
+    {{bin}}/python benchmarks/bench.py "$@"
 
 # train and test one model on one split, or sweep with -m: just train scenario=balls model=cophynet
 train *args: setup
-    {{bin}}/python src/train.py {{args}}
+    {{bin}}/python src/train.py "$@"
 
 # generate the datasets of a split: just generate scenario=balls size=small
 generate *args: setup
-    {{bin}}/python src/generate.py {{args}}
+    {{bin}}/python src/generate.py "$@"
 
 # prove a dataset sound: just audit scenario=balls size=small
 audit *args: setup
-    {{bin}}/python src/audit.py {{args}}
+    {{bin}}/python src/audit.py "$@"
 
 # tables from outputs/, ours beside the paper's numbers
 report *args: setup
-    {{bin}}/python src/report.py {{args}}
+    {{bin}}/python src/report.py "$@"
 
 # generated data in the format of the released dataset: just export scenario=balls root=/where/CoPhy_224
 export *args: setup
-    {{bin}}/python src/export.py {{args}}
+    {{bin}}/python src/export.py "$@"
 
 # positions and presence in all frames, by a trained de-renderer: just derender scenario=balls
 derender *args: setup
-    {{bin}}/python src/derender.py {{args}}
+    {{bin}}/python src/derender.py "$@"
 
 # pictures of a dataset for people: just look scenario=balls
 look *args: setup
-    {{bin}}/python src/look.py {{args}}
+    {{bin}}/python src/look.py "$@"
 
 # what predict.py needs, in outputs/trained: CoPhyNet, and a de-renderer of 400 experiments: just trained balls 4
 trained scenario="collision" objects="2": setup
@@ -82,8 +85,8 @@ trained scenario="collision" objects="2": setup
 
 # the human study of Table 1, on localhost: just study scenario=blocktower
 study *args: setup
-    {{bin}}/python src/study.py {{args}}
+    {{bin}}/python src/study.py "$@"
 
 # from pictures of AB and C to a clip of D: just predict --help
 predict *args: setup
-    {{bin}}/python src/predict.py {{args}}
+    {{bin}}/python src/predict.py "$@"

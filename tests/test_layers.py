@@ -16,7 +16,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 ROOMS = sorted(path for path in MODULES if path.name == "__init__.py")
 # each imports only those before it
 LAYERS = ("scenario", "dataset", "models", "drawing", "training", "study", "report", "app", "commands")
-FOR_ALL = {"errors", "atomic_files", "bootstrap", "types"}  # modules beside the layers
+FOR_ALL = {"errors", "atomic_files", "bootstrap", "types", "workers"}  # modules beside the layers
 UNKNOWN_TO = {
     "scenario": {"torch", "lightning", "omegaconf", "hydra", "h5py"},
     "models": {"lightning", "omegaconf", "hydra", "h5py"},

@@ -213,8 +213,8 @@ def oracles() -> Figure:
     mse: dict[str, list[float]] = defaultdict(list)
     with RUNS.open() as file:
         for run in csv.DictReader(file):
-            own = [run[name] for name in ("scenario", "split", "ablation", "size", "variant")]
-            if own == ["collision", "all", "full", "small", ""]:
+            own = [run[name] for name in ("scenario", "split", "ablation", "positions", "size", "variant")]
+            if own == ["collision", "all", "full", "ground_truth", "small", ""]:
                 mse[run["model"]].append(float(run["mse"]))
     names = {"oracle_feedforward": "oracle without AB", "oracle_counterfactual": "oracle with AB", "copy_b": "copy B"}
     names |= {"in": "IN (without AB)", "cophynet": "CoPhyNet"}

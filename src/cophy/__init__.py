@@ -20,6 +20,7 @@ types: what passes between data, models and losses: `Inputs`, `Targets`, `Batch`
 errors: the error whose message is meant for the person at the terminal.
 atomic_files: files that are there whole or not at all.
 bootstrap: means over experiments, and their intervals.
+workers: processes that end with what started them.
 """
 
 from importlib import import_module

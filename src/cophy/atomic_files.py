@@ -70,7 +70,7 @@ def appearing_whole(path: Path) -> Iterator[Path]:
 def is_left_behind(temporary: Path) -> bool:
     """Whether the process that wrote to this temporary name is gone. Of one that cannot be asked, its last write tells."""
     try:
-        machine, process, _ = temporary.name.split(".")[-2].split("-")
+        machine, process, _ = temporary.name.rpartition(".tmp")[0].rpartition(".")[2].split("-")
         if machine == MACHINE:
             os.kill(int(process), 0)  # sends nothing
         return time.time() - temporary.stat().st_mtime > ABANDONED_S
@@ -78,6 +78,25 @@ def is_left_behind(temporary: Path) -> bool:
         return False
     except (ValueError, IndexError, OSError):  # no name of ours, or no such process; or the file itself is gone
         return True
+
+
+@contextmanager
+def without_leftovers(directory: Path) -> Iterator[None]:
+    """Begin and end without half-written files: of a process that was killed, or of workers that a full disk ended.
+
+    Those of processes that may be at work beside stay. Workers of what was killed may take a moment to end.
+    """
+    _remove_leftovers(directory)
+    try:
+        yield
+    finally:
+        _remove_leftovers(directory)
+
+
+def _remove_leftovers(directory: Path) -> None:
+    for temporary in directory.glob("*.tmp*"):
+        if is_left_behind(temporary):
+            temporary.unlink(missing_ok=True)
 
 
 def sha256(path: Path) -> str:

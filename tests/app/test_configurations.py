@@ -204,6 +204,11 @@ def test_a_mistake_is_answered_in_one_line(mistake: str, tmp_path: Path, tiny_da
     assert len(printed.strip().splitlines()[-1]) < 400
 
 
+def test_the_value_of_an_option_is_not_taken_for_a_choice(tmp_path: Path) -> None:
+    printed = run("train", "--config-dir", tmp_path, "scenario=null", f"hydra.run.dir={tmp_path}", code=1)
+    assert "a group (scenario=null) takes the name of a file in conf/" in printed
+
+
 def test_an_ablation_without_its_first_line_is_told_so(tmp_path: Path) -> None:
     (tmp_path / "ablation").mkdir()
     (tmp_path / "ablation" / "narrow.yaml").write_text("model: {hidden_dim: 8}\n")

@@ -1,9 +1,12 @@
 """The data from Python."""
 
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
+import hydra
 import numpy as np
 import pytest
 import torch
@@ -22,7 +25,7 @@ from tests.dataset.released.trees import CoPhyTree
 def test_items_are_what_is_stored(name: str, tiny_data: Path) -> None:
     stored = States(tiny_spec(name), tiny_data).load()
     for split in (*SPLITS, None):
-        data = cophy.load(name, size="tiny", split=split, data_dir=str(tiny_data))
+        data = cophy.load(name, size="tiny", split=split, data_dir=tiny_data)
         rows = (
             np.arange(len(stored["split"])) if split is None else np.flatnonzero(stored["split"] == SPLITS.index(split))
         )
@@ -94,3 +97,32 @@ def test_mistakes_are_named_before_anything_is_generated(wrong: dict, said: str,
     with pytest.raises(CophyError, match=said):
         cophy.load(**asked)
     assert not list(tmp_path.iterdir())
+
+
+PROGRAM = """
+import cophy, hydra
+
+@hydra.main(version_base="1.3", config_path=".", config_name="train")
+def main(cfg):
+    print(cfg, len(cophy.load("balls", size="tiny", data_dir=cfg.data)), cfg == hydra.compose("train", ["data=" + cfg.data]))
+
+if __name__ == "__main__":
+    main()
+"""
+
+
+def test_a_hydra_program_of_somebody_else_loads_data_and_goes_on(tiny_data: Path, tmp_path: Path) -> None:
+    """Its configuration has the name of one of ours."""
+    (tmp_path / "train.yaml").write_text("data: here")
+    (tmp_path / "program.py").write_text(PROGRAM)
+    command = [sys.executable, str(tmp_path / "program.py"), f"data={tiny_data}", f"hydra.run.dir={tmp_path / 'run'}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout.split()[-2:] == ["34", "True"], done.stderr[-2000:]
+    with hydra.initialize_config_dir(str(tmp_path), version_base="1.3"):
+        cophy.load("balls", size="tiny", data_dir=tiny_data)
+        assert hydra.compose("train").data == "here"
+
+
+def test_a_resolution_of_released_clips_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CophyError, match="resolution=112: released clips are as large as they are"):
+        cophy.load("balls", source="cophy", root=tmp_path, modalities=("rgb",), resolution=112, data_dir=tmp_path)

@@ -29,7 +29,12 @@ def test_true_positions_over_the_true_background_are_the_true_pictures(
     spec, arrays = tiny
     with Renderer(spec.scenario, RESOLUTION) as renderer:
         truth = render_sequence(renderer, arrays, ROW, 1, slice(None)).rgb
+        (tmp_path / "AB").mkdir()
+        for name in ("99.png", "notes.png"):  # of a longer sequence; of the person
+            (tmp_path / "AB" / name).write_bytes(b"")
         write_frames(tmp_path, renderer, arrays, ROW)
+    assert not (tmp_path / "AB" / "99.png").exists()
+    (tmp_path / "AB" / "notes.png").unlink()
     background = read_frames(tmp_path / "background.png")[0]
     np.testing.assert_array_equal(read_frames(tmp_path / "CD"), truth)
     drawn = render_positions(*true_positions(spec, arrays), spec.scenario, background)

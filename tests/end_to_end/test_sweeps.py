@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -26,11 +27,16 @@ def test_runs_side_by_side_make_missing_data_once(tmp_path: Path) -> None:
 
 
 def test_all_runs_that_failed_are_listed_at_the_end(tiny_data: Path, tmp_path: Path) -> None:
+    note = tmp_path / "of_another_sweep" / "failure.json"  # that fails while this one runs
+    note.parent.mkdir()
+    note.write_text(json.dumps({"error": "not ours", "sweep": "another"}))
+    os.utime(note, (2**32, 2**32))
     failing = (f"hydra.sweep.dir={tmp_path}", "+row=copy_b,in", "positions=derendered,ground_truth")
     printed = train(*ROWS, *failing, data=tiny_data, code=1, apart=True).strip().splitlines()
     assert printed[-3].endswith("train.py: 2 runs failed; the same command makes them again")
     assert all("CophyError: no de-renderer of collision" in line for line in printed[-2:])
     assert len(list(tmp_path.rglob("metrics.json"))) == 2
+    note.unlink()
     assert len(list(tmp_path.rglob("failure.json"))) == 2
 
 

@@ -5,7 +5,6 @@ import json
 import os
 import re
 import sys
-import time
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ from difflib import get_close_matches
 from functools import wraps
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 from hydra._internal import defaults_list
 from hydra.core.hydra_config import HydraConfig
@@ -26,7 +26,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from cophy.app import key_help  # noqa: F401  the resolver of help texts
 from cophy.app.composition import CONF
 from cophy.errors import SAFE, CophyError
-from cophy.training.runs.identity import FAILURE
+from cophy.training.runs.identity import FAILURE, SWEEP
 
 OF_YOUR_OWN = " (a folder of your own: --config-dir)"  # what else a group can be given
 # how Hydra names a file of conf/ablation or conf/row that it cannot compose
@@ -46,15 +46,16 @@ OF_SLURM = {
 # hydra/launcher=local: joblib replaces a worker whose memory has grown; no run is lost
 warnings.filterwarnings("ignore", "A worker stopped while some jobs were given to the executor")
 
-_sweeps: list[tuple[Path, float]] = []  # of this process: the root of the runs, and when the sweep began
+_sweeps: list[tuple[Path, str]] = []  # of this process: the root of the runs, and a name that only this sweep has
 
 
 class NoteSweep(Callback):
     """Hydra calls it in the process that starts the runs (conf/train.yaml)."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Remember where the runs of this sweep go."""
-        _sweeps.append((Path(config.hydra.sweep.dir), time.time()))
+        """Remember where the runs of this sweep go, and name it to them, in whatever processes they are."""
+        os.environ[SWEEP] = uuid4().hex
+        _sweeps.append((Path(config.hydra.sweep.dir), os.environ[SWEEP]))
 
 
 def in_one_line(task: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
@@ -94,9 +95,9 @@ def _failures() -> list[str]:
     """A line for each run of this process's last sweep that failed: its directory, and why."""
     if not _sweeps:
         return []
-    root, began = _sweeps[-1]
-    found = [path for path in sorted(root.rglob(FAILURE)) if path.stat().st_mtime >= began]
-    return [f"{path.parent}: {json.loads(path.read_bytes())['error']}" for path in found]
+    root, sweep = _sweeps[-1]
+    notes = {path.parent: json.loads(path.read_bytes()) for path in sorted(root.rglob(FAILURE))}
+    return [f"{directory}: {note['error']}" for directory, note in notes.items() if note.get("sweep") == sweep]
 
 
 def _list(failed: list[str]) -> str:
@@ -144,7 +145,7 @@ def _is_of_choices(error: BaseException) -> bool:
 
 def _no_names() -> list[str]:
     """What groups are given on the command line that is no name, and no list of names."""
-    words = [word for word in sys.argv[1:] if not word.startswith("-")]
+    words = [word for word in sys.argv[1:] if "=" in word and not word.startswith("-")]  # options have values, too
     given = [each for each in OverridesParser.create().parse_overrides(words) if (CONF / each.key_or_group).is_dir()]
     values = {str(each.input_line): each.value() for each in given}
     return [line for line, value in values.items() if not all(isinstance(name, str) for name in _as_list(value))]

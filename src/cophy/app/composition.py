@@ -86,20 +86,33 @@ def to_plain(config: DictConfig) -> dict[str, Any]:
 def composed(name: str, *overrides: str, return_hydra_config: bool = False) -> DictConfig:
     """What `python src/<name>.py <overrides>` composes.
 
-    Inside a command, the folders of configurations that the command was given count too.
+    Inside a command, the folders of configurations that the command was given count too. A Hydra program of somebody else's
+    that calls this is left as it is.
 
     Args:
         name: Of the command.
         overrides: Of its configuration.
         return_hydra_config: Whether Hydra's own keys are in it.
     """
-    if GlobalHydra.instance().is_initialized():
+    if _is_in_a_command():
         given = HydraConfig.get().overrides.hydra
         return hydra.compose(
             name, [*(path for path in given if path.startswith("hydra.searchpath=")), *overrides], return_hydra_config
         )
-    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        return hydra.compose(name, list(overrides), return_hydra_config)
+    instance = GlobalHydra.instance()
+    before, instance.hydra = instance.hydra, None
+    try:
+        with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+            return hydra.compose(name, list(overrides), return_hydra_config)
+    finally:
+        GlobalHydra.instance().hydra = before
+
+
+def _is_in_a_command() -> bool:
+    """Whether Hydra is at work for a command of ours."""
+    if not (GlobalHydra.instance().is_initialized() and HydraConfig.initialized()):
+        return False
+    return any(Path(source.path) == CONF for source in HydraConfig.get().runtime.config_sources)
 
 
 def settings(name: str, *overrides: str) -> Any:

@@ -1,6 +1,7 @@
 """What the names of runs stand for, which the report asks: the configurations that they compose."""
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
@@ -20,6 +21,8 @@ from cophy.errors import CophyError
 from cophy.report.runs.stored_run import DATASETS
 from cophy.scenario import Scenario
 
+# an override of a scenario or a size, as `DatasetSpec` has it; a file of answers may hold anything
+OF_DATA = re.compile(r"\+\+(scenario|size)\.[\w.]+=[^${}]*")
 OF_EVERY_RUN = ("model", "scenario", "split", "training", "trainer", "data_seed")
 OF_DERENDERERS = ("render", "num_images", "num_objects")
 
@@ -66,10 +69,15 @@ class ComposedChoices:
         """A split of a scenario."""
         return self._train(f"scenario={scenario}", f"split={name}").split
 
-    def dataset(self, scenario: str, num_objects: int, size: str) -> States:
-        """The dataset that runs of this scenario and size use."""
+    def dataset(
+        self, scenario: str, num_objects: int, size: str, data_seed: int = 0, overrides: Sequence[str] = ()
+    ) -> States:
+        """The dataset that runs of this scenario and size use, or another one; see `Choices`."""
+        if strange := [each for each in overrides if not OF_DATA.fullmatch(each)]:
+            raise CophyError(f"{strange[0]!r} says nothing of data")
         with _explained():
-            chosen = to_config(composed("generate", f"scenario={scenario}", f"size={size}"), GenerateConfig)
+            words = (f"scenario={scenario}", f"size={size}", f"data_seed={data_seed}", *overrides)
+            chosen = to_config(composed("generate", *words), GenerateConfig)
         (states,) = generated_by(replace(chosen, num_objects=[num_objects], data_dir=str(self.data_dir)))
         return states
 

@@ -22,11 +22,11 @@ from cophy.atomic_files import appearing_whole, read_plain, write_atomically
 from cophy.dataset import generation
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
+from cophy.study.answer_tables import ANSWERS, SIMULATED
 
 if TYPE_CHECKING:
     import pandas as pd
 
-ANSWERS, SIMULATED = "answers.sqlite", "simulated.sqlite"
 LIKE_PEOPLE = "noisy_oracle"  # the simulated participants that the power is of
 register()
 log = logging.getLogger(__name__)

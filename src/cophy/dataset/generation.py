@@ -3,10 +3,7 @@
 import errno
 import logging
 import multiprocessing
-import os
-import signal
 import sys
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
@@ -19,11 +16,12 @@ from pathlib import Path
 from filelock import FileLock
 from tqdm import tqdm
 
-from cophy.atomic_files import appearing_whole, check_space, is_left_behind
+from cophy.atomic_files import appearing_whole, check_space, without_leftovers
 from cophy.dataset.store.hdf5_arrays import DamagedShardError
 from cophy.dataset.store.manifest import MANIFEST
 from cophy.dataset.store.shardset import ShardSet
 from cophy.errors import CophyError
+from cophy.workers import begin_worker, ending_workers
 
 PATIENCE_S = 30  # until it is said that there is no first experiment yet
 log = logging.getLogger(__name__)
@@ -41,7 +39,7 @@ def make(shards: ShardSet, *, workers: int) -> None:
     """Make what is missing or damaged; several processes may ask for it at once, one works."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker imports the script that started it
         raise CophyError(f"put what your script runs under {GUARD}, generation starts processes")
-    with _explain_full_disk(shards), _locked(shards.directory) as writable, _without_leftovers(shards.directory):
+    with _explain_full_disk(shards), _locked(shards.directory) as writable, without_leftovers(shards.directory):
         missing = _missing(shards, range(shards.spec.num_shards))
         if not (writable or shards.is_finished()) or (missing and not writable):
             raise CophyError(
@@ -112,10 +110,10 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
         multiprocessing.set_start_method("spawn", force=True)  # a job of joblib: its "loky" is unknown to its children
     done = context.Value("q", 0)
     start, took, told = time.monotonic(), defaultdict[str, float](float), False
-    before = multiprocessing.active_children()  # of a script of one's own; those are not ours to end
     with (
         progress_bar(shards.title, total) as advance_to,
         ProcessPoolExecutor(min(workers, len(missing)), context, _start_worker, (done,)) as pool,
+        ending_workers(),
     ):
         pending = {pool.submit(_make_shard, shard, shards) for shard in missing}
         try:
@@ -136,11 +134,6 @@ def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
             raise CophyError(
                 f"{unguarded}a worker process was killed (out of memory?): finished shards are kept, run again with fewer workers="
             ) from error
-        except BaseException:
-            for worker in multiprocessing.active_children():
-                if worker not in before:
-                    worker.terminate()
-            raise
     each = ", ".join(f"{value / max(total, 1):.3g} {what}" for what, value in took.items())
     log.info("%d experiments in %.0f s; per experiment %s", total, time.monotonic() - start, each)
 
@@ -159,18 +152,9 @@ def _make_shard(shard: int, shards: ShardSet) -> dict[str, float]:
 
 
 def _start_worker(done: "Synchronized[int]") -> None:
-    """Leave Ctrl-C to the parent, and end with it even when it is killed."""
     global _done
     _done = done
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_exit_with_parent, daemon=True).start()
-
-
-def _exit_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
+    begin_worker()
 
 
 @contextmanager
@@ -198,25 +182,6 @@ def _locked(directory: Path) -> Iterator[bool]:
         return
     with lock:
         yield True
-
-
-@contextmanager
-def _without_leftovers(directory: Path) -> Iterator[None]:
-    """Begin and end without half-written files: of a process that was killed, or of workers that a full disk ended.
-
-    Those of `make_part`, which may be at work beside, stay. Workers of what was killed may take a moment to end.
-    """
-    _remove_leftovers(directory)
-    try:
-        yield
-    finally:
-        _remove_leftovers(directory)
-
-
-def _remove_leftovers(directory: Path) -> None:
-    for temporary in directory.glob("*.tmp"):
-        if is_left_behind(temporary):
-            temporary.unlink(missing_ok=True)
 
 
 @contextmanager

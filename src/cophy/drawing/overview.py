@@ -104,6 +104,8 @@ def write_frames(directory: Path, renderer: Renderer, arrays: dict[str, np.ndarr
         experiment: Index of the experiment.
     """
     for sequence, name in enumerate(tqdm(("AB", "CD"), desc="frames as files")):
+        for earlier in (directory / name).glob("[0-9]*.png"):  # of a longer sequence, or another scenario
+            earlier.unlink()
         for time, frame in enumerate(render_sequence(renderer, arrays, experiment, sequence, slice(None)).rgb):
             write_picture(directory / name / f"{time:02d}.png", frame)
     empty = arrays | {"presence": np.zeros_like(arrays["presence"])}

@@ -57,7 +57,7 @@ def _each(path: Path) -> Iterator[np.ndarray]:
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
 def _read_picture(path: Path) -> np.ndarray:

@@ -1,6 +1,6 @@
 """What the report asks about the names of runs; the command line answers (`cophy.app.report_choices`)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from cophy.dataset.splits import Split
@@ -29,12 +29,19 @@ class Choices(Protocol):
         """A split of a scenario."""
         ...
 
-    def dataset(self, scenario: str, num_objects: int, size: str) -> States:
-        """The generated dataset that runs use.
+    def dataset(
+        self, scenario: str, num_objects: int, size: str, data_seed: int = 0, overrides: Sequence[str] = ()
+    ) -> States:
+        """The generated dataset that runs use, or another one of these names.
 
         Args:
             scenario: Name of their scenario.
             num_objects: In A of every experiment.
             size: Name of their size.
+            data_seed: Of the dataset.
+            overrides: What it changes beyond its names, see `DatasetSpec`.
+
+        Raises:
+            CophyError: This is no configuration of data.
         """
         ...

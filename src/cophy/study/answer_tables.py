@@ -8,6 +8,7 @@ from pathlib import Path
 from cophy.atomic_files import check_space
 from cophy.errors import CophyError
 
+ANSWERS, SIMULATED = "answers.sqlite", "simulated.sqlite"  # names of files: of people, and of simulated participants
 SCHEMA_VERSION = 1
 SCHEMA = """
 CREATE TABLE studies (

@@ -53,6 +53,8 @@ class StudyExperiments:
                 "num_objects": spec.num_objects,
                 "size": spec.size.name,
                 "data": self.states.id,
+                "data_seed": spec.data_seed,
+                "overrides": spec.overrides,
                 "resolution": self.settings.resolution,
                 "seconds": self.settings.seconds,
             }

@@ -8,7 +8,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from cophy.app.composition import settings
+from cophy.app.datasets import generated_by
 from cophy.app.report_choices import ComposedChoices
+from cophy.dataset import generation
 from cophy.dataset.store.states import States
 from cophy.report.people.study_answers import StudyAnswers, read_answers
 from cophy.report.people.study_figures import draw_studies
@@ -17,8 +20,10 @@ from cophy.report.tables.filled_tables import fill
 from cophy.report.tables.paper_tables import paper_tables
 from cophy.study.answer_store import AnswerStore
 from cophy.study.answer_tables import SCHEMA
+from cophy.study.experiments import StudyExperiments
 from cophy.study.results.judging import human_rows
 from tests.conftest import tiny_spec
+from tests.study.conftest import SMALL
 
 MEASURES = {"rank_1": 10.0, "rank_2": 20.0, "rank_3": 60.0, "mean": 30.0}
 
@@ -135,6 +140,11 @@ def test_strange_files_are_named(
 
 WHOLE = '{"scenario": "blocktower", "split": "3to3", "num_objects": 3, "size": "tiny", "data": "x", "resolution": 64}'
 
+OVERRIDES = (
+    *('["hydra.run.dir=/x"]', '["++hydra.searchpath=[/x]"]', '["++scenario.name=${oc.env:HOME}"]', "3", '"abc"', "[3]"),
+    *('["++scenario.nothing=3"]', '["++scenario.min_difference=x"]', '["++scenario.a=1,++b=2"]', '["~scenario"]'),
+)
+
 
 @pytest.mark.parametrize(
     "said",
@@ -143,6 +153,8 @@ WHOLE = '{"scenario": "blocktower", "split": "3to3", "num_objects": 3, "size": "
         *(WHOLE.replace("blocktower", name) for name in ("nothing", "../x", "x y", "${data_dir}")),
         *(WHOLE.replace("3to3", "../x"), WHOLE.replace("tiny", "nothing"), WHOLE.replace("3,", "1e400,")),
         *(WHOLE.replace("64", size) for size in ("0", "1e9", "NaN")),
+        *(WHOLE.replace("64", f'64, "overrides": {value}') for value in OVERRIDES),
+        *(WHOLE.replace("64", f'64, "data_seed": {value}') for value in ('"x"', "-1", "1e400", "[]")),
     ],
 )
 def test_strange_descriptions_are_named(
@@ -152,6 +164,36 @@ def test_strange_descriptions_are_named(
     with caplog.at_level(logging.INFO):
         assert read_answers(tmp_path, ComposedChoices("generated", tiny_data)) == []
     assert "left out" in caplog.text
+
+
+def test_a_study_whose_data_are_gone_hides_no_other(
+    tiny_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A pilot, whose name comes first in the file."""
+    path = tmp_path / "study" / "x" / "answers.sqlite"
+    write_answers(path, description(States(tiny_spec("blocktower"), tiny_data).id))
+    with sqlite3.connect(path) as db:
+        db.execute("INSERT INTO studies VALUES ('pilot', ?)", (description("3-tiny-gone"),))
+        db.execute("INSERT INTO participants VALUES (2, 'pilot', 'person', 0, 'i', NULL, 'd', 1.0, 2.0)")
+        db.execute(
+            "INSERT INTO answers SELECT 2, position, practice, experiment, setting, opened_at, begun_at, answered_at, "
+            "late, undone, names_shown, input, window_width, window_height, digest FROM answers"
+        )
+        db.execute("INSERT INTO clicks SELECT 2, position, slot, x, y, at_ms FROM clicks")
+    db.close()
+    with caplog.at_level(logging.INFO):
+        assert len(read_answers(tmp_path, ComposedChoices("generated", tiny_data))) == 1
+    assert "study pilot of" in " ".join(caplog.text.split())
+
+
+def test_a_study_on_data_of_another_seed_and_grid_is_found(tmp_path: Path) -> None:
+    words = ("size=tiny", "data_seed=1", "scenario.confounders.friction=[1]", f"data_dir={tmp_path / 'data'}")
+    (states,) = generated_by(settings("generate", *words))
+    generation.make(states, workers=2)
+    shown = StudyExperiments(states, settings("study").split, SMALL)
+    write_answers(tmp_path / "study" / "x" / "answers.sqlite", shown.description)
+    (found,) = read_answers(tmp_path, ComposedChoices("generated", tmp_path / "data"))
+    assert found.data == states.id
 
 
 def test_answers_are_judged_and_drawn(tiny_data: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The data from Python, without a command line: `cophy.load`."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from hydra.errors import HydraException
@@ -13,6 +14,7 @@ from cophy.app.schemas.commands import TrainConfig
 from cophy.app.schemas.registration import register
 from cophy.dataset import generation
 from cophy.dataset.experiment_dataset import ExperimentDataset
+from cophy.dataset.source import GENERATED
 from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError
 from cophy.scenario.rendering.frames import MODALITIES
@@ -30,8 +32,8 @@ def load(
     data_seed: int = 0,
     resolution: int | None = None,
     source: str = "generated",
-    root: str | None = None,
-    data_dir: str = "data",
+    root: str | Path | None = None,
+    data_dir: str | Path = "data",
     workers: int = 2,
 ) -> ExperimentDataset:
     """Experiments as a torch Dataset of named tensors; what is missing is generated and rendered first.
@@ -45,7 +47,7 @@ def load(
         modalities: states, and of pictures rgb, depth, segmentation. States and confounders are there in any case.
         num_objects: In A; None for those that the scenario's default split trains on.
         data_seed: Which dataset; its experiments follow from it.
-        resolution: Edge of the pictures, pixels; None for the paper's 448.
+        resolution: Edge of the pictures, pixels; None for the paper's 448. Released clips are as large as they are.
         source: generated; cophy or filtered_cophy for a released dataset.
         root: Folder of the released dataset.
         data_dir: Where generated data, and indices of released ones, lie.
@@ -61,6 +63,8 @@ def load(
         raise CophyError(f"modalities: there is no {', '.join(sorted(unknown))}; there are {known}")
     if split not in (None, *SPLITS):
         raise CophyError(f"split={split}: there are {', '.join(SPLITS)}, and None for all")
+    if resolution is not None and source != GENERATED:
+        raise CophyError(f"resolution={resolution}: released clips are as large as they are, leave it out")
     pictures = [name for name in MODALITIES if name in modalities]
     chosen: dict[str, Any] = {
         "source": source,  # before the scenario, which it changes
@@ -88,6 +92,6 @@ def load(
     return ExperimentDataset(experiments, split=split, frames=frames, modalities=pictures)
 
 
-def _quoted(path: str) -> str:
-    escaped = path.replace("\\", "\\\\").replace("'", "\\'")
+def _quoted(path: str | Path) -> str:
+    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"

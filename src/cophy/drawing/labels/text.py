@@ -30,24 +30,23 @@ class Line:
     bold: bool = False
 
 
-def text_block(lines: Sequence[Line], width: int, font_px: int = FONT_PX) -> np.ndarray:
+def text_block(lines: Sequence[Line], width: int) -> np.ndarray:
     """(H, width, 3) uint8: lines one below the other on white; a line that is too long goes on in the next.
 
     Args:
         lines: What is written.
         width: Of the picture, pixels.
-        font_px: Height of the font, pixels.
     """
-    rows = [row for line in lines for row in _wrapped(line, width - 2 * MARGIN_PX, font_px)]
-    step = round(LINE_SPACING * font_px)
+    rows = [row for line in lines for row in _wrapped(line, width - 2 * MARGIN_PX)]
+    step = round(LINE_SPACING * FONT_PX)
     picture = Image.new("RGB", (width, step * max(1, len(rows)) + MARGIN_PX), PAPER)
     pen = ImageDraw.Draw(picture)
     for number, row in enumerate(rows):
         left, top = MARGIN_PX, number * step + MARGIN_PX // 2
         if row.swatch is not None:
-            square = (left, top + 4, left + font_px - 5, top + font_px - 1)
+            square = (left, top + 4, left + FONT_PX - 5, top + FONT_PX - 1)
             pen.rectangle(square, fill=row.swatch, outline=EDGE)
-        pen.text((left + row.indent, top), row.text, fill=INK, font=font(font_px, bold=row.bold))
+        pen.text((left + row.indent, top), row.text, fill=INK, font=font(FONT_PX, bold=row.bold))
     return np.asarray(picture)
 
 
@@ -56,9 +55,9 @@ class _Row(Line):
     indent: int = 0  # pixels
 
 
-def _wrapped(line: Line, width: int, font_px: int) -> Iterator[_Row]:
+def _wrapped(line: Line, width: int) -> Iterator[_Row]:
     """The line in pieces that fit; words stay whole, and the swatch stands before the first."""
-    measure, indent = font(font_px, bold=line.bold).getlength, 0 if line.swatch is None else font_px + 1
+    measure, indent = font(FONT_PX, bold=line.bold).getlength, 0 if line.swatch is None else FONT_PX + 1
     swatch, said = line.swatch, ""
     for word in line.text.split(" "):
         longer = f"{said} {word}" if said else word

@@ -3,18 +3,20 @@
 import multiprocessing
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import cv2
 import numpy as np
 from tqdm import tqdm
 
-from cophy.atomic_files import appearing_whole, check_space
+from cophy.atomic_files import appearing_whole, check_space, without_leftovers
 from cophy.drawing.overview import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.scenario.rendering.renderer import Renderer
 from cophy.study.experiments import StudyExperiments
+from cophy.workers import begin_worker, ending_workers
 
 CODEC = "VP90"  # VP9 4:2:0 in WebM, which all browsers play; OpenCV's wheel brings the encoder
 PICTURE, CLIP = "c.png", "ab.webm"
@@ -57,7 +59,12 @@ class Clips:
         arrays = {name: self._experiments.arrays[name][missing] for name in EXPERIMENT_ARRAYS}
         parts = [list(part) for part in np.array_split(np.arange(len(missing)), min(len(missing), 4 * workers))]
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, context) as pool, tqdm(total=len(missing), desc="pictures of C, AB") as bar:
+        with (
+            without_leftovers(self.directory),
+            tqdm(total=len(missing), desc="pictures of C, AB") as bar,
+            ProcessPoolExecutor(workers, context, begin_worker) as pool,
+            ending_workers(),
+        ):
             jobs = [
                 pool.submit(
                     _draw,
@@ -68,8 +75,14 @@ class Clips:
                 )
                 for part in parts
             ]
-            for job in jobs:
-                bar.update(job.result())
+            try:
+                for job in jobs:
+                    bar.update(job.result())
+            except BrokenProcessPool as error:
+                raise CophyError(
+                    "a worker process was killed (out of memory?): pictures that are done are kept, run again with fewer "
+                    "workers="
+                ) from error
 
 
 def _draw(scenario: Scenario, resolution: int, arrays: dict[str, np.ndarray], stems: list[Path]) -> int:
@@ -98,7 +111,7 @@ def _write_clip(path: Path, frames: Iterable[np.ndarray], frame_rate_hz: int) ->
     """
     frames = list(frames)
     height, width = frames[0].shape[:2]
-    named = path.with_suffix(".webm")
+    named = path.with_name(f"{path.name}.webm")
     try:
         writer = cv2.VideoWriter(str(named), cv2.VideoWriter.fourcc(*CODEC), frame_rate_hz, (width, height))
         if not writer.isOpened():

@@ -8,6 +8,7 @@ from typing import Any
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 METRICS, PREDICTIONS, FAILURE = "metrics.json", "predictions.npz", "failure.json"  # in the directory of a run
+SWEEP = "COPHY_SWEEP"  # variable of the environment: a name for the sweep that a run is of
 # keys that change no result: where and how fast it is made, what is shown, and which names a scenario lists
 NO_RESULT = {
     *("trainer.accelerator", "trainer.devices", "trainer.num_nodes", "trainer.strategy", "trainer.profiler"),

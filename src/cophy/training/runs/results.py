@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import os
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ import numpy as np
 from cophy.atomic_files import write_atomically
 from cophy.bootstrap import Ratio, interval, mean
 from cophy.errors import CophyError
-from cophy.training.runs.identity import FAILURE, METRICS, PREDICTIONS, Run
+from cophy.training.runs.identity import FAILURE, METRICS, PREDICTIONS, SWEEP, Run
 from cophy.types import Prediction, Targets
 
 log = logging.getLogger(__name__)
@@ -79,7 +80,8 @@ def write_failure(run: Run, error: BaseException, *, has_begun: bool) -> None:
         has_begun: Whether it got so far that it trains or tests.
     """
     what = " ".join(f"{type(error).__name__}: {error}".split())
-    _write_json(run.directory / FAILURE, {**run.names(), "has_begun": has_begun, "error": what})
+    about = {"has_begun": has_begun, "error": what, "sweep": os.environ.get(SWEEP)}
+    _write_json(run.directory / FAILURE, {**run.names(), **about})
 
 
 def write_predictions(directory: Path, prediction: Prediction, targets: Targets) -> None:
