@@ -43,7 +43,8 @@ def shuffled(dataset: Dataset, batch_size: int, *, seed: int, share: Share) -> E
     Args:
         dataset: Of the items.
         batch_size: Items in a batch of all devices together.
-        seed: The order follows from it and the epoch.
+        seed: The order follows from it and the epoch. PyTorch adds the two, so that seed 1 begins with the order that seed 0
+            has in its second epoch; their weights begin differently.
         share: Of this device.
     """
     if batch_size % share.devices:
