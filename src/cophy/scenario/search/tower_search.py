@@ -166,7 +166,7 @@ def _every(towers: Towers) -> np.ndarray:
 def _separable(first: Confounders, second: Confounders, *, num_levels: int) -> bool:
     """Whether towers are looked for that stand under one and fall under the other: gravity, or upper blocks' mass ratios, differ.
 
-    Where only the lowest block's mass differs, there are some, because the ground sees that mass; they are too rare to look for.
+    Where only the lowest block's mass differs, there are some, because the ground bears that mass, too; they are not looked for.
     """
     upper = [np.array(confounders.mass[1:num_levels]) for confounders in (first, second)]
     ratios = [mass / mass[0] for mass in upper]
