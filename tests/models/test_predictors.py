@@ -148,7 +148,7 @@ def test_copy_b_leaves_what_was_missed_in_ab_where_it_is_in_c(inputs: Inputs) ->
     missed[:, 0] = False
     none_stable = torch.zeros_like(inputs.observed_stable)
     prediction = CopyB()(replace(inputs, observed_presence=missed, observed_stable=none_stable))
-    assert (prediction.stable_logit[:, :, 0] > 0).all()
+    assert ((prediction.stable_logit[:, :, 0] > 0) == inputs.presence[:, None, 0]).all()
     assert not (prediction.stable_logit[:, :, 1:][:, :, missed[0, 1:]] > 0).any()
     position = prediction.position
     torch.testing.assert_close(position[:, :, 0], inputs.initial[:, None, 0].expand(-1, 29, -1))

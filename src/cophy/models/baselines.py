@@ -26,11 +26,10 @@ class CopyB(nn.Module):
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Repeat the observed positions and stability, step for step."""
-        missed = (inputs.presence & ~inputs.observed_presence)[
-            :, None
-        ]  # by a de-renderer in AB: it stays where it is in C
-        position = torch.where(missed[..., None], inputs.initial[:, None], inputs.observed[:, 1:])
-        return Prediction(position, stable_logit=2 * (inputs.observed_stable | missed).to(position.dtype) - 1)
+        seen = inputs.observed_presence[:, None]  # what a de-renderer missed in AB stays where it is in C
+        position = torch.where(seen[..., None], inputs.observed[:, 1:], inputs.initial[:, None])
+        stable = inputs.observed_stable | (inputs.presence[:, None] & ~seen)
+        return Prediction(position, stable_logit=2 * stable.to(position.dtype) - 1)
 
 
 class InteractionNetwork(nn.Module):
