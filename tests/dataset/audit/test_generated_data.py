@@ -6,16 +6,19 @@ import pytest
 from cophy.dataset.audit import audit_generated
 from tests.dataset.audit.failing import failing
 
+# of towers a pair takes 900 simulations under other confounders
+TOWERS_SLOW = pytest.mark.parametrize(
+    "tiny", [pytest.param("blocktower", marks=pytest.mark.slow), "balls", "collision"], indirect=True
+)
 
+
+@TOWERS_SLOW
 def test_a_sound_dataset_passes(tiny) -> None:
     spec, arrays = tiny
     assert not failing(audit_generated(arrays, spec, replayed_pairs=1))
 
 
-# of towers a pair takes 900 simulations under other confounders
-@pytest.mark.parametrize(
-    "tiny", [pytest.param("blocktower", marks=pytest.mark.slow), "balls", "collision"], indirect=True
-)
+@TOWERS_SLOW
 def test_a_state_that_is_no_number_is_caught_and_stops_no_check(tiny) -> None:
     spec, arrays = tiny
     changed = arrays["states"].copy()

@@ -81,6 +81,7 @@ def test_the_same_seed_draws_the_same_picture_and_another_one_another(scenario_o
     assert (first != other).mean() > 0.5
 
 
+@pytest.mark.slow
 def test_many_backgrounds_need_no_more_memory_than_a_few(scenario_of: Callable[..., Scenario]) -> None:
     scenario = scenario_of("collision")
     still = np.zeros((1, 4, 3)), np.tile((0.0, 0.0, 0.0, 1.0), (1, 4, 1))
