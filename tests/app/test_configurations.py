@@ -126,6 +126,7 @@ def test_a_single_value_of_a_grid_can_be_given() -> None:
     assert (given.confounders.mass, given.confounders.friction) == ([1, 10], [0.1, 0.5, 1])
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_through_both_grids(tmp_path: Path) -> None:
     printed = run(
         "generate",

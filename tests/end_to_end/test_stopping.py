@@ -59,7 +59,7 @@ def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(
     assert result(part)["resumed"] == 2
 
 
-@pytest.mark.parametrize("other", ["training.learning_rate=0.003", "reuse=false"])
+@pytest.mark.parametrize("other", ["training.learning_rate=0.003", pytest.param("reuse=false", marks=pytest.mark.slow)])
 def test_another_training_does_not_go_on_with_it(tiny_data: Path, tmp_path: Path, other: str) -> None:
     stopped(tmp_path, tiny_data, signal.SIGKILL)
     last = (tmp_path / "checkpoints" / "last.ckpt").read_bytes()
