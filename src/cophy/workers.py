@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def ending_workers() -> Iterator[None]:
-    """Inside that of a pool of processes: where its use fails, they end at once. Other children of this process stay."""
+    """Enter it inside a pool: if the work with the pool fails, its processes end at once. Other children of this one stay."""
     before = multiprocessing.active_children()
     try:
         yield

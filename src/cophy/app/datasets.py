@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
+from hydra.errors import MissingConfigException
 
 from cophy.app.composition import settings as composed_settings
 from cophy.app.schemas.commands import AuditConfig, DataConfig, DerenderConfig, TrainConfig
@@ -65,6 +65,6 @@ def _usual(scenario: str, size: str, sources: str) -> dict[str, Any]:
     """
     try:
         config = composed_settings("generate", f"scenario={scenario}", f"size={size}")
-    except HydraException:
+    except MissingConfigException:
         return {}
     return {"scenario": asdict(config.scenario), "size": asdict(config.size)}

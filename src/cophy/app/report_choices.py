@@ -74,7 +74,7 @@ class ComposedChoices:
     ) -> States:
         """The dataset that runs of this scenario and size use, or another one; see `Choices`."""
         if strange := [each for each in overrides if not OF_DATA.fullmatch(each)]:
-            raise CophyError(f"{strange[0]!r} says nothing of data")
+            raise CophyError(f"{strange[0]!r} is no override of a scenario or a size")
         with _explained():
             words = (f"scenario={scenario}", f"size={size}", f"data_seed={data_seed}", *overrides)
             chosen = to_config(composed("generate", *words), GenerateConfig)

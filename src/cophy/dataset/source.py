@@ -33,40 +33,6 @@ class Source:
         """Whether the data can be made here."""
         return self.name == GENERATED
 
-    def experiment_set(
-        self,
-        scenario: Scenario,
-        num_objects: int,
-        *,
-        split: Split,
-        size: Size,
-        data_seed: int,
-        data_dir: Path,
-        overrides: tuple[str, ...] = (),
-    ) -> ExperimentSet:
-        """The experiments with one number of objects.
-
-        Args:
-            scenario: as which released data are read.
-            num_objects: in A of every experiment.
-            split: whose lists of ids are used, of released data.
-            size: of generated data; released ones have none.
-            data_seed: of generated data; released ones have none.
-            data_dir: where generated data, and indices of released ones, lie.
-            overrides: see `DatasetSpec`; of generated data.
-
-        Raises:
-            CophyError: the released data or their lists are not where they should be.
-        """
-        if self.is_generated:
-            return States(DatasetSpec(scenario, num_objects, size, data_seed, overrides), data_dir)
-        if self.root is None:
-            raise CophyError(f"source={self.name} needs source.root=, the folder that holds ballsCF, blocktowerCF, …")
-        lists = None if self.splits is None else Path(self.splits)
-        return ReleasedStates(
-            FORMATS[self.name], Path(self.root), scenario, num_objects, split=split, lists=lists, data_dir=data_dir
-        )
-
     def experiment_sets(
         self,
         scenario: Scenario,
@@ -81,28 +47,35 @@ class Source:
         """All datasets that the split, or `num_objects`, names.
 
         Args:
-            scenario: of all of them.
-            split: whose numbers of objects are meant where `num_objects` is None.
+            scenario: of all of them; released data are read as it says.
+            split: whose numbers of objects are meant where `num_objects` is None; of released data, whose lists of ids are used.
             num_objects: one dataset each.
-            size: see `experiment_set`.
-            data_seed: see `experiment_set`.
-            data_dir: see `experiment_set`.
-            overrides: see `experiment_set`.
+            size: of generated data; released ones have none.
+            data_seed: of generated data; released ones have none.
+            data_dir: where generated data, and indices of released ones, lie.
+            overrides: see `DatasetSpec`; of generated data.
 
         Raises:
-            CophyError: the split was not made for the scenario, or released data are not there.
+            CophyError: the split was not made for the scenario, or the released data or their lists are not there.
         """
+        if self.is_generated:
+            return [
+                *generated_sets(
+                    scenario,
+                    split,
+                    num_objects,
+                    size=size,
+                    data_seed=data_seed,
+                    data_dir=data_dir,
+                    overrides=overrides,
+                )
+            ]
         split.check_scenario(scenario)
+        if self.root is None:
+            raise CophyError(f"source={self.name} needs source.root=, the folder that holds ballsCF, blocktowerCF, …")
+        form, root, lists = FORMATS[self.name], Path(self.root), None if self.splits is None else Path(self.splits)
         return [
-            self.experiment_set(
-                scenario,
-                count,
-                split=split,
-                size=size,
-                data_seed=data_seed,
-                data_dir=data_dir,
-                overrides=overrides,
-            )
+            ReleasedStates(form, root, scenario, count, split=split, lists=lists, data_dir=data_dir)
             for count in split.counts(num_objects)
         ]
 

@@ -16,10 +16,15 @@ def states(source: str, scenario: str, root: Path, split: str | None = None, num
     """An index in `<root>-data`, not yet made."""
     chosen = settings("train", f"source={source}", f"scenario={scenario}", *([f"split={split}"] if split else []))
     where = Source(source, "", str(root))
-    return where.experiment_set(
-        chosen.scenario, num_objects or chosen.split.train.num_objects, split=chosen.split, size=chosen.size, data_seed=0,
+    (found,) = where.experiment_sets(
+        chosen.scenario,
+        chosen.split,
+        [num_objects or chosen.split.train.num_objects],
+        size=chosen.size,
+        data_seed=0,
         data_dir=root.with_name(f"{root.name}-data"),
-    )  # fmt: skip
+    )
+    return found
 
 
 def make(opened: ExperimentSet) -> ExperimentSet:

@@ -71,11 +71,10 @@ def imported(name: str, root: Path, split: str | None = None) -> dict[str, np.nd
     ours = settings("train", f"scenario={name}").scenario.confounders
     grid = [f"scenario.confounders.{key}={[float(v) for v in getattr(ours, key)]}" for key in GRID]
     chosen = settings("train", "source=cophy", f"scenario={name}", *grid, *([f"split={split}"] if split else []))
-    return make(
-        Source("cophy", "", str(root)).experiment_set(
-            chosen.scenario, SCENARIOS[name], split=chosen.split, size=chosen.size, data_seed=0, data_dir=root / "index"
-        )
-    ).load()
+    (found,) = Source("cophy", "", str(root)).experiment_sets(
+        chosen.scenario, chosen.split, [SCENARIOS[name]], size=chosen.size, data_seed=0, data_dir=root / "index"
+    )
+    return make(found).load()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
