@@ -5,6 +5,7 @@ order their keys are given. conf/train.yaml asks for it as `${variant:}`. A path
 where it is the value of a key (`ckpt=`, `derenderer=`), so the name has neither.
 """
 
+import functools
 import hashlib
 import json
 import re
@@ -35,9 +36,9 @@ def variant(config: DictConfig, choices: Mapping[str, Any]) -> str:
         For example "+confounders-released+hidden_dim-8"; where that is long, its beginning and a hash of all.
     """
     named = [f"{group}={choices[group]}" for group in NAMES]
-    usual = composed("train", *named, return_hydra_config=True).hydra.runtime.choices
+    usual = of_choices(*named).hydra.runtime.choices
     groups = [group for group in CHOICES if choices.get(group) != usual.get(group)]
-    expected = composed("train", *named, *(f"{group}={choices[group]}" for group in groups))
+    expected = of_choices(*named, *(f"{group}={choices[group]}" for group in groups))
     keys = (*COMPARED, *OF_DERENDERERS) if str(choices["model"]).startswith("derenderer") else COMPARED
     found = dict(
         pair for key in keys for pair in differences(key, plain_value(config, key), plain_value(expected, key))
@@ -50,6 +51,12 @@ def variant(config: DictConfig, choices: Mapping[str, Any]) -> str:
     if len(text) > LONGEST:
         text = f"{text[: LONGEST - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
     return f"+{text}" if text else ""
+
+
+@functools.cache
+def of_choices(*choices: str) -> DictConfig:
+    """What these choices of groups compose; every run asks more than once."""
+    return composed("train", *choices, return_hydra_config=True)
 
 
 def _refers(config: DictConfig, key: str) -> bool:
