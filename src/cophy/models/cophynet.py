@@ -97,9 +97,8 @@ class CoPhyNet(nn.Module):
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Predict D, one step per frame of AB after the first."""
-        if (
-            self.interaction is Interaction.mlp
-        ):  # it has weights of its own for every slot, so slots must stay where they are
+        if self.interaction is Interaction.mlp:
+            # it has weights of its own for every slot, so slots must stay where they are
             return self._predict(inputs)
         packed, slots = pack(inputs)
         return unpack(self._predict(packed), slots, inputs.presence.shape[1])

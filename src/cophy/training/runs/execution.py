@@ -98,9 +98,8 @@ def carry_out(claim: Claim, stage: Stage, plan: Plan, origin: Origin) -> dict[st
             best = None if plan.is_trial else run.checkpoints / "best.ckpt"
         else:
             forget_curves(trainer)
-        if (
-            trainer.state.fn != TrainerFn.FITTING
-        ):  # nothing was trained here: pictures and validation metrics come from this
+        if trainer.state.fn != TrainerFn.FITTING:
+            # nothing was trained here, so pictures and validation metrics come from this
             trainer.loggers = [each for each in trainer.loggers if not (isinstance(each, Curves) and each.earlier)]
             _log_names(trainer, run, plan, origin)
             found = trainer.validate(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
