@@ -12,6 +12,7 @@ from cophy.dataset.audit import audit_released
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.errors import CophyError
 from tests.commands import run
+from tests.commands import train as train_on_generated
 from tests.conftest import settings
 from tests.dataset.released.indexing import make
 from tests.dataset.released.trees import CoPhyTree
@@ -60,11 +61,18 @@ def test_a_row_on_released_data_fills_its_own_table(tree: CoPhyTree, tmp_path: P
 
 
 @pytest.mark.slow
-def test_a_row_on_released_data_fills_no_other_table(tree: CoPhyTree, tmp_path: Path) -> None:
+@pytest.mark.parametrize("other", ["generated", "filtered_cophy"])
+def test_a_row_on_released_data_fills_no_other_table(tree: CoPhyTree, tmp_path: Path, other: str) -> None:
     train(tree, tmp_path, "scenario=blocktower")
-    said = run("report", "source=generated", f"outputs={tmp_path / 'outputs'}", "data_dir=nowhere", code=1)
-    assert "1 run fills no table" in said
+    said = run("report", f"source={other}", f"outputs={tmp_path / 'outputs'}", "data_dir=nowhere", code=1)
+    assert f"metrics.json is skipped: its data are of source=cophy, and these tables of source={other}" in said
     assert "none of the runs there can be reported" in said
+
+
+def test_a_row_on_generated_data_fills_no_table_of_released_ones(tiny_data: Path, tmp_path: Path) -> None:
+    train_on_generated("model=copy_c", f"source.outputs={tmp_path}", data=tiny_data)
+    said = run("report", "source=cophy", f"outputs={tmp_path}", "data_dir=nowhere", code=1)
+    assert "its data are of source=generated, and these tables of source=cophy" in said
 
 
 @pytest.mark.slow

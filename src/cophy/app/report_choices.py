@@ -15,6 +15,8 @@ from cophy.app.cli import explain
 from cophy.app.composition import composed, to_config, to_plain
 from cophy.app.datasets import generated_by
 from cophy.app.schemas.commands import GenerateConfig, TrainConfig
+from cophy.dataset.released.formats import FORMATS
+from cophy.dataset.source import GENERATED
 from cophy.dataset.splits import Split
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
@@ -52,12 +54,15 @@ class ComposedChoices:
 
     def keys_of(self, names: Mapping[str, Any]) -> dict[str, Any]:
         """The keys of the configuration that make a run of these names the run it claims to be; see `Choices`."""
+        of = names["size"] if names["size"] in FORMATS else GENERATED  # as train.py names runs on released data
+        if of != self.source:
+            raise CophyError(f"its data are of source={of}, and these tables of source={self.source}")
         groups = [f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation")]
         is_derenderer = names["model"].startswith("derenderer")
         with _explained():
             plain = to_plain(composed("train", f"source={self.source}", *groups))
             keys = {key: plain[key] for key in (*OF_EVERY_RUN, *(OF_DERENDERERS if is_derenderer else ()))}
-            if is_derenderer or self.source != "generated":
+            if is_derenderer or self.source != GENERATED:
                 return keys
             return keys | {DATASETS: _generated_ids(*(names[name] for name in ("scenario", "split", "size")))}
 

@@ -13,6 +13,7 @@ from cophy.app.composition import CONF, to_config, to_plain
 from cophy.app.schemas.commands import TrainConfig
 from cophy.app.schemas.registration import register
 from cophy.app.variants import variant
+from cophy.dataset.source import GENERATED
 
 register()
 log = logging.getLogger(__name__)
@@ -31,7 +32,7 @@ def main(cfg: DictConfig) -> float:
     choices = chosen.runtime.choices
     run = Run(
         **{group: choices[group] for group in ("scenario", "split", "model", "ablation")},
-        size=choices["size"] if choices["source"] == "generated" else choices["source"],  # released data have their own
+        size=choices["size"] if choices["source"] == GENERATED else choices["source"],  # released data have their own
         positions=cfg.positions,
         seed=cfg.seed,
         variant=variant(cfg, choices),

@@ -17,7 +17,7 @@ class Choices(Protocol):
         Of a predictor on generated data, `dataset_ids`, too: those that are generated today.
 
         Raises:
-            CophyError: The names compose no configuration.
+            CophyError: The names compose no configuration, or the run is on data of another source.
         """
         ...
 
