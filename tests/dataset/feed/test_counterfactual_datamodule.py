@@ -6,13 +6,17 @@ import pytest
 import torch
 
 from cophy.app.composition import settings
+from cophy.dataset import generation
 from cophy.dataset.feed.batches import to_batch
 from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
 from cophy.dataset.feed.declared_inputs import DeclaredInputs
+from cophy.dataset.pictures.estimates import Estimates
+from cophy.dataset.splits import SPLITS
 from cophy.dataset.store.states import States
 from cophy.errors import CophyError
 from cophy.types import CONFOUNDERS, map_tensors
 from tests.conftest import tiny_spec
+from tests.dataset.pictures.guess import Guess
 
 OPTIONAL = ("confounders", "object_type", "pose")
 
@@ -75,3 +79,27 @@ def test_a_learning_curve_trains_on_the_first_experiments_and_tests_on_all(tiny_
         assert torch.equal(getattr(few, split).batch.inputs.observed, getattr(every, split).batch.inputs.observed)
     with pytest.raises(CophyError, match=r"training\.num_experiments=1000: there are 34 to train on"):
         fed(tiny_data, num_experiments=1000)
+
+
+@pytest.mark.parametrize(
+    ("estimated", "looked_at"), [(SPLITS, {3: "inputs", 4: "test_inputs"}), (["test"], {4: "test_inputs"})]
+)
+def test_no_frames_are_drawn_that_nobody_sees(
+    estimated: list[str], looked_at: dict[int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of towers of four only the test experiments are read."""
+    asked: dict[int, str] = {}
+    monkeypatch.setattr(generation, "ensure", lambda states, workers: None)
+    monkeypatch.setattr(
+        Estimates, "ensure", lambda self, workers: asked.update({self.spec.num_objects: self.needed.name})
+    )
+    CounterfactualDataModule(
+        settings("train", "split=3to4").split,
+        train_set=States(tiny_spec("blocktower", 3), tmp_path),
+        test_set=States(tiny_spec("blocktower", 4), tmp_path),
+        batch_size=8,
+        workers=1,
+        derenderer=Guess(),
+        estimated=estimated,
+    ).prepare_data()
+    assert asked == looked_at

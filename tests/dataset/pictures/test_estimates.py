@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from cophy.dataset import generation
@@ -10,16 +9,8 @@ from cophy.dataset.pictures.estimates import Estimates
 from cophy.dataset.pictures.images import Images
 from cophy.dataset.pictures.needed_frames import TEST_INPUTS
 from cophy.errors import CophyError
+from tests.dataset.pictures.guess import Guess
 from tests.dataset.pictures.rendered import RENDER, copy_images
-
-
-class Guess:
-    """Sees nothing."""
-
-    name, source, render = "guess", Path("guess.ckpt"), RENDER
-
-    def __call__(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.zeros((len(rgb), 4, 3)), np.zeros((len(rgb), 4))
 
 
 def test_estimates_of_other_pictures_are_made_again(

@@ -159,10 +159,11 @@ class CounterfactualDataModule(L.LightningDataModule):
             batches[split] = replace(batch, inputs=replace(batch.inputs, confounders=given))
 
     def _estimates(self, experiments: ExperimentSet) -> Estimates | None:
-        """Those of a dataset, if one of its splits is seen through them."""
-        if self.derenderer is None or experiments.id not in {self._set_of(split).id for split in self.estimated}:
+        """Those of a dataset, if one of the splits that are read from it is seen through them."""
+        seen = {split for split in self.estimated if self._set_of(split).id == experiments.id}
+        if self.derenderer is None or not seen:
             return None
-        return Estimates(experiments, self.derenderer, TEST_INPUTS if set(self.estimated) == {"test"} else INPUTS)
+        return Estimates(experiments, self.derenderer, TEST_INPUTS if seen == {"test"} else INPUTS)
 
     def _load(self, experiments: ExperimentSet) -> Arrays:
         arrays = experiments.load(partial(frames_of, scenario=self.scenario))
