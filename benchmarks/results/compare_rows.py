@@ -1,9 +1,9 @@
 """Is one model better than another? python benchmarks/results/compare_rows.py alongside cophynet [outputs]
 
 What a run changes beyond its model is named as its directory has it: cophynet+max_epochs-55; and so is its ablation:
-in+ablation-gt_confounders. Both were tested on the same experiments, so their errors are compared experiment by experiment. Prints
-a Markdown table with a line per tested split: the seeds that both have, both MSE (mean over seeds), and their difference with its
-95 % interval.
+in+ablation-gt_confounders. Where both names end in their positions, these are compared, too: cophynet@derendered cophynet@ground_truth.
+Both were tested on the same experiments, so their errors are compared experiment by experiment. Prints a Markdown table with a
+line per tested split: the seeds that both have, both MSE (mean over seeds), and their difference with its 95 % interval.
 """
 
 import sys
@@ -26,13 +26,16 @@ def main(ours: str, other: str, outputs: Path) -> None:
     paths = sorted(outputs.glob(f"*/*/*/*/*/seed*/{METRICS}"))
     if not paths:
         sys.exit(f"{outputs}: no finished runs")
-    runs = pd.DataFrame([run_of(path) for path in paths])
+    runs, tested_alike = pd.DataFrame([run_of(path) for path in paths]), TESTED
+    if "@" in ours and "@" in other:
+        runs["name"] += "@" + runs["positions"]
+        tested_alike = [each for each in TESTED if each != "positions"]
     if unknown := {ours, other} - set(runs["name"]):
         known = ", ".join(sorted(set(runs["name"])))
         sys.exit(f"{outputs}: no run of {', '.join(sorted(unknown))}; there are {known}")
     lines = [
-        dict(zip(TESTED, tested, strict=True)) | line
-        for tested, found in runs.groupby(TESTED)
+        dict(zip(tested_alike, tested, strict=True)) | line
+        for tested, found in runs.groupby(tested_alike)
         if (line := compared(found[found["name"] == ours], found[found["name"] == other]))
     ]
     print(pd.DataFrame(lines).to_markdown(index=False, floatfmt=".3f"))
