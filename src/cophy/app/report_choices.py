@@ -54,9 +54,9 @@ class ComposedChoices:
 
     def keys_of(self, names: Mapping[str, Any]) -> dict[str, Any]:
         """The keys of the configuration that make a run of these names the run it claims to be; see `Choices`."""
-        of = names["size"] if names["size"] in FORMATS else GENERATED  # as train.py names runs on released data
-        if of != self.source:
-            raise CophyError(f"its data are of source={of}, and these tables of source={self.source}")
+        source = names["size"] if names["size"] in FORMATS else GENERATED  # train.py names a run on released data so
+        if source != self.source:
+            raise CophyError(f"its data are of source={source}, and these tables of source={self.source}")
         groups = [f"{group}={names[group]}" for group in ("scenario", "split", "model", "ablation")]
         is_derenderer = names["model"].startswith("derenderer")
         with _explained():

@@ -55,7 +55,7 @@ def variant(config: DictConfig, choices: Mapping[str, Any]) -> str:
 
 @functools.cache
 def of_choices(*choices: str) -> DictConfig:
-    """What these choices of groups compose; every run asks more than once."""
+    """What these choices of groups compose: kept, as every run asks more than once. Do not change it."""
     return composed("train", *choices, return_hydra_config=True)
 
 

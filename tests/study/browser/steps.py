@@ -7,7 +7,7 @@ from playwright.sync_api import Page
 
 
 def press(page: Page, selector: str, by: str) -> None:
-    """A button, as a person would."""
+    """Press a button as a person would: by mouse, touch or keyboard."""
     button = page.locator(selector)
     button.wait_for()
     if by == "keyboard":
