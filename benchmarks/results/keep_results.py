@@ -43,7 +43,8 @@ def main(outputs: Path, table: Path) -> None:
     if found.empty:
         sys.exit(f"{outputs}: no finished runs")
     found[SHARE] = np.nan
-    for _, tested in found[found["positions"] == "ground_truth"].groupby(TESTED):
+    predictors = found[(found["positions"] == "ground_truth") & ~found["model"].str.startswith("derenderer")]
+    for _, tested in predictors.groupby(TESTED):
         found.loc[tested.index, SHARE] = shares(tested)
     before = [pd.read_csv(table, keep_default_na=False, dtype=str)] if table.exists() else []
     merged = pd.concat([*before, found.reindex(columns=COLUMNS).map(as_text)], ignore_index=True).fillna("")
