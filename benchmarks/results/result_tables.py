@@ -1,7 +1,8 @@
 """Tables of docs/results from docs/results/results.csv: python benchmarks/results/result_tables.py [size [table.csv]]
 
-Prints, for every split, the rows whose settings are those of conf/, as Markdown: MSE in m² with its 95 % interval and, over several
-seeds, its standard deviation; the paper's number; share of the possible gain; what it makes of twins; seconds of training.
+Prints, for every split, the rows whose settings are those of conf/ but for the learning rate, which is named where it is another,
+as Markdown: MSE in m² with its 95 % interval and, over several seeds, its standard deviation; the paper's number; share of the
+possible gain; what it makes of twins; seconds of training.
 """
 
 import sys
@@ -36,14 +37,21 @@ SEEDS_SHARE = ["datasets", "max_epochs"]
 def main(size: str, table: Path) -> None:
     """Print."""
     runs = pd.read_csv(table, keep_default_na=False, na_values=[""])
-    variant = runs["variant"].fillna("").isin(["", f"+size-{size}"])
-    kept = runs[variant & (runs["size"] == size) & (runs["positions"] == "ground_truth")]
+    variant = runs["variant"].fillna("")
+    runs["rate"] = variant.str.extract(r"\+learning_rate-([\d.]+)", expand=False).fillna("")
+    shown = variant.str.fullmatch(rf"(\+size-{size})?(\+learning_rate-[\d.]+)?")
+    kept = runs[shown & (runs["size"] == size) & (runs["positions"] == "ground_truth")]
     if kept.empty:
         sys.exit(f"{table}: no runs of size={size}; there are {', '.join(sorted(set(runs['size'])))}")
     check_seeds(kept, [*NAMES, "variant"])
     for (scenario, split), tested in kept.groupby(SPLIT):
-        models = tested.groupby(["model", "ablation"])
-        lines = [line_of(title, models.get_group(name)) for name, title in ROWS.items() if name in models.groups]
+        rows = tested.groupby(["model", "ablation", "rate"])
+        lines = [
+            line_of(f"{title}, learning rate {rate}" if rate else title, rows.get_group((*name, rate)))
+            for name, title in ROWS.items()
+            for rate in sorted(set(tested["rate"]))
+            if (*name, rate) in rows.groups
+        ]
         counts = tested[~tested["model"].str.startswith("oracle")].iloc[0]
         print(
             f"\n### {scenario}, {split}\n\n{counts['num_train']} training and {counts['num_test']} test experiments.\n"
