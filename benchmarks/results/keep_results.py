@@ -27,12 +27,8 @@ SAME_RUN = [*KEY, "predictor", "training_seconds", "mse"]  # the seconds of two 
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
 TESTED = ["scenario", "split", "datasets"]  # what a run and the oracles that it is compared with have in common
 SHARE = ["share", "share_low", "share_high"]
-PIXELS = (
-    "pixel_error_by_height",
-    "pixel_error_3",
-    "pixel_error_2",
-    "pixel_error_1",
-)  # paper Table 1: mean, top to bottom
+# paper Table 1: mean of the heights, then from top to bottom
+PIXELS = ("pixel_error_by_height", "pixel_error_3", "pixel_error_2", "pixel_error_1")
 MEASURES = ("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy")
 COLUMNS = [
     *KEY,

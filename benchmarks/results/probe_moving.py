@@ -1,4 +1,4 @@
-"""Does U tell the confounders of what moves as well as of what is hit? The probe of Table 5, asked of the two apart, in collisions:
+"""The probe of Table 5 in collisions, asked of the moving and of the resting objects apart:
 
     python benchmarks/results/probe_moving.py checkpoints/collision_all_cophynet.ckpt [data_dir]
 
@@ -38,11 +38,11 @@ def main(checkpoint: Path, data_dir: Path) -> None:
         chosen.split, train_set=collisions, test_set=collisions, batch_size=chosen.training.batch_size, workers=1
     )
     data.setup()
-    kinds = [of_each_kind(predictor, split.batch) for split in (data.train, data.test)]
+    train, test = (of_each_kind(predictor, split.batch) for split in (data.train, data.test))
+    pairs = data.test.batch.targets.pair.numpy()
     table = Table("objects", *(f"{name}, %" for name in ASKED.values()), "chance of both, %")
-    for kind, train in kinds[0].items():
-        found = probe(train, kinds[1][kind])
-        pairs = data.test.batch.targets.pair.numpy()
+    for kind in train:
+        found = probe(train[kind], test[kind])
         cells = [f"{100 * mean(found[name]):.1f} {percent(*interval(found[name], pairs))}" for name in ASKED]
         table.add_row(kind, *cells, f"{100 * mean(found['probe_chance']):.1f}")
     Console(width=120).print(table)
