@@ -23,7 +23,7 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_older_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "checkpoints" / "best.ckpt"
-    WholeCheckpoints(ORIGIN).save_checkpoint({"weights": torch.ones(3)}, path)
+    WholeCheckpoints(ORIGIN, tmp_path).save_checkpoint({"weights": torch.ones(3)}, path)
     before, write = path.read_bytes(), Path.write_bytes
 
     def half_then_full(self: Path, content: bytes) -> int:
@@ -32,20 +32,20 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_older_one(
 
     monkeypatch.setattr(Path, "write_bytes", half_then_full)
     with pytest.raises(OSError, match="No space left"):
-        WholeCheckpoints(ORIGIN).save_checkpoint({"weights": torch.zeros(3)}, path)
+        WholeCheckpoints(ORIGIN, tmp_path).save_checkpoint({"weights": torch.zeros(3)}, path)
     assert [file.read_bytes() for file in path.parent.iterdir()] == [before]
 
 
 def test_a_flipped_byte_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
     path, rng = tmp_path / "best.ckpt", np.random.default_rng(0)
     saved = {"weights": torch.arange(300.0), "epoch": 3}
-    WholeCheckpoints(ORIGIN).save_checkpoint(saved, path)
+    WholeCheckpoints(ORIGIN, tmp_path).save_checkpoint(saved, path)
     content, noticed = path.read_bytes(), 0
     start = content.index(torch.arange(300.0).numpy().tobytes())
     for place in [start + 5, *rng.integers(0, len(content), 300).tolist()]:
         path.write_bytes(content[:place] + bytes([content[place] ^ 64]) + content[place + 1 :])
         try:
-            found = WholeCheckpoints(ORIGIN).load_checkpoint(path, weights_only=True)
+            found = WholeCheckpoints(ORIGIN, tmp_path).load_checkpoint(path, weights_only=True)
         except CophyError:
             noticed += 1
         else:
@@ -79,9 +79,9 @@ def overlapping(path: Path, to: Path) -> None:
 
 @pytest.mark.parametrize("grow", [compressed, overlapping])
 def test_what_would_grow_when_it_is_read_is_refused(tmp_path: Path, grow: Callable[[Path, Path], None]) -> None:
-    WholeCheckpoints(ORIGIN).save_checkpoint({"weights": torch.zeros(3000)}, tmp_path / "best.ckpt")
+    WholeCheckpoints(ORIGIN, tmp_path).save_checkpoint({"weights": torch.zeros(3000)}, tmp_path / "best.ckpt")
     grow(tmp_path / "best.ckpt", tmp_path / "grows.ckpt")
     with pytest.raises(
         CophyError, match=r"grows\.ckpt is no checkpoint of train\.py: it is compressed, or its parts ov"
     ):
-        WholeCheckpoints(ORIGIN).load_checkpoint(tmp_path / "grows.ckpt", weights_only=True)
+        WholeCheckpoints(ORIGIN, tmp_path).load_checkpoint(tmp_path / "grows.ckpt", weights_only=True)

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store import manifest
 from cophy.dataset.store.hdf5_arrays import Field, Fields
+from cophy.dataset.store.manifest import read_checksums
 
 CROISSANT = "croissant.json"
 # what the words of the file stand for; the format asks every file to carry this
@@ -49,7 +49,7 @@ def croissant(spec: DatasetSpec, directory: Path, fields: Fields) -> str:
         fields: Arrays of its shards.
     """
     names = [f"shard-{shard:05d}.h5" for shard in range(spec.num_shards)]
-    checksums = manifest.read_checksums(directory, names) or {}
+    checksums = read_checksums(directory, names) or {}
     metadata = {
         "@context": CONTEXT,
         "@type": "sc:Dataset",

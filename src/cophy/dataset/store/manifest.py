@@ -45,7 +45,7 @@ def read_format(directory: Path) -> int | None:
     return found if isinstance(found, int) else None
 
 
-def write(directory: Path, shards: Sequence[str], description: Mapping[str, Any]) -> None:
+def write_manifest(directory: Path, shards: Sequence[str], description: Mapping[str, Any]) -> None:
     """Vouch for a finished set.
 
     Args:

@@ -12,8 +12,8 @@ import numpy as np
 
 from cophy.atomic_files import sha256
 from cophy.dataset.state_features import Arrays
-from cophy.dataset.store import manifest
 from cophy.dataset.store.hdf5_arrays import DamagedShardError, Fields, attribute, check_plain, reading
+from cophy.dataset.store.manifest import MANIFEST, DamagedManifestError, read_checksums, write_manifest
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
@@ -112,9 +112,9 @@ class ShardSet(ABC):
     def checksums(self) -> dict[str, str] | None:
         """SHA-256 per shard as the manifest has them, or None where there is no manifest yet."""
         try:
-            return manifest.read_checksums(self.directory, [path.name for path in self._paths()])
-        except manifest.DamagedManifestError as error:
-            path = self.directory / manifest.MANIFEST
+            return read_checksums(self.directory, [path.name for path in self._paths()])
+        except DamagedManifestError as error:
+            path = self.directory / MANIFEST
             raise CophyError(f"{path} is damaged ({error}): delete it and run `{self.command}`") from error
 
     def finished_checksums(self) -> dict[str, str]:
@@ -163,7 +163,7 @@ class ShardSet(ABC):
 
     def write_manifest(self) -> None:
         """Vouch for a finished set."""
-        manifest.write(self.directory, [path.name for path in self._paths()], self.description())
+        write_manifest(self.directory, [path.name for path in self._paths()], self.description())
 
     @contextmanager
     def explained(self, shard: int) -> Iterator[None]:
@@ -187,7 +187,7 @@ class ShardSet(ABC):
         except OSError as error:
             raise DamagedShardError(error.strerror or str(error)) from error
         if found != checksum:
-            raise DamagedShardError(f"its checksum is not the one in {manifest.MANIFEST}")
+            raise DamagedShardError(f"its checksum is not the one in {MANIFEST}")
 
     def _verified(self, shard: int, checksum: str) -> Arrays:
         with self.explained(shard):

@@ -17,8 +17,9 @@ from cophy.errors import CophyError
 from cophy.training.callbacks.best_validation import BestValidation
 from cophy.training.callbacks.stopwatch import Stopwatch
 from cophy.training.curves import Curves
-from cophy.training.runs import devices, reuse
+from cophy.training.runs import reuse
 from cophy.training.runs.claim import Claim
+from cophy.training.runs.devices import first_decides, is_first, meet, was_queued_again
 from cophy.training.runs.identity import Run
 from cophy.training.runs.results import write_metrics
 from cophy.training.runs.reuse import Trained
@@ -84,7 +85,7 @@ def carry_out(claim: Claim, stage: Stage, plan: Plan, origin: Origin) -> dict[st
     loggers = loggers_of(run, plan.loggers)
     with finishing(loggers):
         trainer = make_trainer(run, origin, [stage.figures, *watched], loggers, plan.trainer)
-        devices.meet(trainer, stage.module)
+        meet(trainer, stage.module)
         best, trained = None, Trained(0.0, {}, 0)
         for key, given in (("ckpt", plan.resume), ("predictor", plan.predictor)):
             if given is not None and not stage.learns:
@@ -108,7 +109,7 @@ def carry_out(claim: Claim, stage: Stage, plan: Plan, origin: Origin) -> dict[st
         trainer.test(stage.module, stage.data, ckpt_path=best, weights_only=True, verbose=False)
         if plan.is_trial:
             return {}
-        if not devices.is_first():
+        if not is_first():
             return trained.validation
         measured = stage.measure()
         about = {
@@ -145,7 +146,7 @@ def _log_names(trainer: L.Trainer, run: Run, plan: Plan, origin: Origin) -> None
 
 def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: Plan, origin: Origin) -> Trained:
     """Fit, go on where the same training was stopped, or adopt the checkpoints of one that was the same."""
-    given, anew = plan.resume, not plan.reuse and not devices.was_queued_again()
+    given, anew = plan.resume, not plan.reuse and not was_queued_again()
 
     def start() -> Trained | tuple[str, int, Path | None]:
         """A finished training; or the fingerprint of this one, how often it was stopped, and what it goes on from."""
@@ -164,7 +165,7 @@ def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: P
         moved = given is not None and not given.exists()
         return wanted, int(given is not None), run.checkpoints / reuse.STOPPED if moved else given
 
-    known = devices.first_decides(trainer, start)
+    known = first_decides(trainer, start)
     if isinstance(known, Trained):
         return known
     wanted, resumed, resume = known
@@ -177,8 +178,8 @@ def _train(trainer: L.Trainer, watched: Watched, run: Run, stage: Stage, plan: P
         raise CophyError(f"trainer: {error}") from error
     except SIGTERMException as error:
         # as of a process that it ends; of several, Lightning kills the first where another ends with a failure
-        raise SystemExit(128 + signal.SIGTERM if devices.is_first() else 0) from error
+        raise SystemExit(128 + signal.SIGTERM if is_first() else 0) from error
     trained = Trained(round(watched.stopwatch.seconds, 1), watched.best_epoch.metrics, resumed)
-    if devices.is_first() and not plan.is_trial:
+    if is_first() and not plan.is_trial:
         reuse.record(run, wanted, trained)
     return trained

@@ -12,11 +12,11 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.accelerators import CPUAccelerator
-from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint, ModelSummary
+from lightning.pytorch.callbacks import LearningRateMonitor, ModelSummary
 from lightning.pytorch.loggers import Logger
 
 from cophy.errors import CophyError
-from cophy.training.callbacks.best_checkpoint import BestCheckpoint
+from cophy.training.callbacks.best_checkpoint import BestCheckpoint, LastCheckpoint
 from cophy.training.callbacks.gradient_norm import GradientNorm
 from cophy.training.callbacks.stopping import ResumeHint, StopTogether
 from cophy.training.curves import Curves
@@ -119,7 +119,7 @@ def make_trainer(
         ),
         # The last has a callback of its own: with save_last=True Lightning 2.6 writes it only when it is the best.
         # It is written after every epoch, also where validation is rarer.
-        ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True),
+        LastCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True),
         StopTogether(),
         *([LearningRateMonitor("epoch")] if loggers else []),
         GradientNorm(),
@@ -133,7 +133,7 @@ def make_trainer(
             logger=loggers,
             callbacks=callbacks,
             default_root_dir=run.directory,
-            plugins=[WholeCheckpoints(origin), *plugins()],
+            plugins=[WholeCheckpoints(origin, run.checkpoints), *plugins()],
             use_distributed_sampler=False,  # the datamodules share batches among devices themselves
             **arguments,
         )

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from lightning.fabric.plugins.io.torch_io import TorchCheckpointIO
+from lightning.fabric.plugins.io.checkpoint_io import CheckpointIO
 from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor
 
@@ -79,17 +79,19 @@ class Checkpoint:
     has_optimizer: bool
 
 
-class WholeCheckpoints(TorchCheckpointIO):
-    """Writes beside the target and renames; Lightning's own goes through /tmp, and a full disk cuts what was there.
+class WholeCheckpoints(CheckpointIO):
+    """Writes checkpoints whole or not at all, reads local files only, and removes nothing but a run's own checkpoints.
 
-    What was damaged since is refused: torch stores checksums, but does not look at them.
+    Lightning's own writes through /tmp, where a full disk truncates, and follows the addresses that a checkpoint names.
+    torch stores checksums but does not compare them: a damaged file is refused here.
 
     Args:
-        origin: What is trained; it goes into every checkpoint.
+        origin: What is trained; it is stored in every checkpoint.
+        directory: The run's checkpoints, the only files that may be removed.
     """
 
-    def __init__(self, origin: Origin) -> None:
-        self.origin = origin
+    def __init__(self, origin: Origin, directory: Path) -> None:
+        self.origin, self.directory = origin, directory
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         content = io.BytesIO()
@@ -98,11 +100,21 @@ class WholeCheckpoints(TorchCheckpointIO):
         write_atomically(Path(path), content.getvalue())
 
     def load_checkpoint(self, path: Any, map_location: Any = None, weights_only: bool | None = None) -> dict[str, Any]:
-        check_whole(read_bytes(Path(path)), Path(path))
+        """Return the checkpoint without the state of ModelCheckpoint callbacks, whose paths may be anybody's."""
+        content = read_bytes(Path(path))
+        check_whole(content, Path(path))
         try:
-            return super().load_checkpoint(path, map_location, weights_only)
+            checkpoint = torch.load(io.BytesIO(content), map_location=map_location, weights_only=True)
+            for key in [key for key in checkpoint.get("callbacks", {}) if key.startswith("ModelCheckpoint")]:
+                del checkpoint["callbacks"][key]
         except ERRORS as error:
             raise CophyError(f"{path} is no checkpoint of train.py, or a damaged one") from error
+        return dict(checkpoint)
+
+    def remove_checkpoint(self, path: Any) -> None:
+        path = Path(path)
+        if path.suffix == ".ckpt" and path.parent.resolve() == self.directory.resolve():
+            path.unlink(missing_ok=True)
 
 
 def read_bytes(path: Path) -> bytes:

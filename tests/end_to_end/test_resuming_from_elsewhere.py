@@ -1,0 +1,81 @@
+"""A checkpoint from elsewhere may name any path: nothing outside the run's checkpoints is removed or asked for."""
+
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.commands import train
+
+KEYS = ("scenario=collision", "model=in")
+
+
+@pytest.fixture
+def requests_received() -> Iterator[tuple[str, list[str]]]:
+    """The address of a web server on this machine, and the paths that it was asked for."""
+    paths: list[str] = []
+
+    class Recorder(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            paths.append(self.path)
+            self.send_error(404)
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Recorder) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}", paths
+        server.shutdown()
+
+
+def point_to(last: Path, target: str, directory: str) -> None:
+    """Let every ModelCheckpoint state of a checkpoint claim that its earlier checkpoints are at `target`."""
+    checkpoint = torch.load(last, weights_only=True)
+    names = [name for name in checkpoint["callbacks"] if "Checkpoint" in name]
+    assert names
+    for name in [*names, *(name.replace("LastCheckpoint", "ModelCheckpoint") for name in names)]:
+        checkpoint["callbacks"][name] = {
+            **dict.fromkeys(("best_model_path", "kth_best_model_path", "last_model_path"), target),
+            "dirpath": directory,
+            "best_k_models": {target: torch.tensor(1e9)},
+            "best_model_score": torch.tensor(1e9),
+            "kth_value": torch.tensor(1e9),
+            "current_score": torch.tensor(1e9),
+            "monitor": None,
+        }
+    torch.save(checkpoint, last)
+
+
+@pytest.mark.parametrize("named", ["local://{}", "{}/run/checkpoints/../../victim"])
+@pytest.mark.parametrize("received", ["ckpt=", "outputs"])
+def test_no_folder_is_removed(tiny_data: Path, tmp_path: Path, named: str, received: str) -> None:
+    victim, run = tmp_path / "victim", tmp_path / "run"
+    victim.mkdir()
+    (victim / "thesis.txt").write_text("three years")
+    target = named.format(victim if "local" in named else tmp_path)
+    train(*KEYS, f"hydra.run.dir={tmp_path / 'theirs'}", data=tiny_data)
+    last, given = tmp_path / "theirs" / "checkpoints" / "last.ckpt", []
+    if received == "ckpt=":
+        given = [f"ckpt={last}"]
+    else:  # an unfinished run, stopped after its first epoch: the same command continues it
+        train(*KEYS, "trainer.max_epochs=2", f"hydra.run.dir={run}", data=tiny_data)
+        last = last.replace(run / "checkpoints" / "last.ckpt")
+        (run / "metrics.json").unlink()
+        (run / "checkpoints" / "finished.json").replace(run / "checkpoints" / "begun.json")
+    point_to(last, target, str((run / "checkpoints").resolve()))
+    train(*KEYS, "trainer.max_epochs=2", *given, f"hydra.run.dir={run}", data=tiny_data)
+    assert (victim / "thesis.txt").read_text() == "three years"
+    assert (run / "metrics.json").exists()
+
+
+def test_no_request_is_sent(tiny_data: Path, tmp_path: Path, requests_received: tuple[str, list[str]]) -> None:
+    address, paths = requests_received
+    train(*KEYS, f"hydra.run.dir={tmp_path / 'theirs'}", data=tiny_data)
+    last = tmp_path / "theirs" / "checkpoints" / "last.ckpt"
+    point_to(last, f"{address}/best.ckpt", str((tmp_path / "run" / "checkpoints").resolve()))
+    train(*KEYS, "trainer.max_epochs=2", f"ckpt={last}", f"hydra.run.dir={tmp_path / 'run'}", data=tiny_data)
+    assert paths == []
