@@ -22,7 +22,7 @@ from measure import ROOT, Measured
 from rich.console import Console
 from rich.table import Table
 
-from cophy.app.schemas.registration import register
+from cophy.schemas import register
 
 TOPICS = {
     "training": speed_training.measure,

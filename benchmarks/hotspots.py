@@ -15,9 +15,9 @@ from speed_loading import derendering_step, epoch, epoch_of_towers, frame_data
 from speed_training import network, training_step
 from torch.profiler import ProfilerActivity, profile
 
-from cophy.dataset.pictures.images import Images
-from cophy.scenario.physics.simulator import import_pybullet
-from cophy.scenario.rendering.frames import MODALITIES, Backend, RenderSettings
+from cophy.dataset.images import Images
+from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
+from cophy.scenario.simulator import import_pybullet
 
 NUM_SHOWN = 10
 Spent = tuple[str, int, float]  # name, calls, s without what it calls in turn

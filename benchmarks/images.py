@@ -15,11 +15,10 @@ from rich.console import Console
 from rich.table import Table
 from speed_generation import draw, made_states
 
-from cophy.app.schemas.registration import register
-from cophy.dataset.pictures.images import Images
-from cophy.drawing.close_up import render_sequence
-from cophy.scenario.rendering.frames import MODALITIES, Backend, Frames, RenderSettings
-from cophy.scenario.rendering.renderer import Renderer
+from cophy.dataset.images import Images
+from cophy.drawing.sheets import render_sequence
+from cophy.scenario.rendering import MODALITIES, Backend, Frames, Renderer, RenderSettings
+from cophy.schemas import register
 
 RENDER = RenderSettings(list(MODALITIES), 448, Backend.tiny)
 NUM_EXPERIMENTS = 4

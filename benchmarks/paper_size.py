@@ -12,16 +12,16 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from cophy.app.composition import settings
-from cophy.dataset.pictures.images import Images
-from cophy.dataset.pictures.needed_frames import ALL, INPUTS, ChosenFrames, NeededFrames
+from cophy.config import settings
+from cophy.dataset.experiment_set import ALL, INPUTS, ChosenFrames, NeededFrames
+from cophy.dataset.images import Images
+from cophy.dataset.shards import ShardSet
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.splits import FRACTIONS
-from cophy.dataset.store.shardset import ShardSet
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
-from cophy.scenario.rendering.frames import Backend, RenderSettings
+from cophy.scenario.rendering import Backend, RenderSettings
 
 NUM_SIMULATED, NUM_DRAWN = 400, 4  # some searches are long, every picture costs the same
 RESOLUTIONS = (112, 224, 448)

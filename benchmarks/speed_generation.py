@@ -9,12 +9,12 @@ from pathlib import Path
 
 from measure import NUM_OBJECTS, REPEATS, ROOT, Measured, cpu_seconds
 
-from cophy.app.composition import settings
-from cophy.dataset.pictures.images import Images
+from cophy.config import settings
+from cophy.dataset.images import Images
 from cophy.dataset.spec import DatasetSpec, Size
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.scenario import Experiment, Scenario, Simulator
-from cophy.scenario.rendering.frames import MODALITIES, Backend, RenderSettings
+from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
 
 SIMULATIONS_AT_ONCE = 20
 PAIRS_AT_ONCE = 24

@@ -8,14 +8,13 @@ import torch
 from measure import REPEATS, Measured, cpu_seconds, paired
 from speed_training import EXPERIMENTS_PER_EPOCH, KINDS, Step, network, random_batch, training_step
 
-from cophy.app.composition import composed, settings, to_plain
-from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
-from cophy.dataset.feed.frame_datamodule import FrameDataModule
-from cophy.dataset.feed.frame_dataset import FrameBatch
+from cophy.config import composed, settings, to_plain
+from cophy.dataset.datamodules import CounterfactualDataset
+from cophy.dataset.frames import FrameBatch, FrameDataModule
 from cophy.dataset.source import generated_sets
 from cophy.models.derenderer import Derenderer
-from cophy.training.derendering_module import DerenderingModule
-from cophy.training.trained.network import build_network
+from cophy.training.checkpoints import build_network
+from cophy.training.derenderer import DerenderingModule
 from cophy.types import map_tensors
 
 NUM_FRAMES = 1600

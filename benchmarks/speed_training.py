@@ -13,13 +13,13 @@ from measure import Measured, paired
 from torch import nn
 from torch.optim import Optimizer
 
-from cophy.app.composition import composed, settings, to_plain
-from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
+from cophy.config import composed, settings, to_plain
+from cophy.dataset.datamodules import CounterfactualDataset
 from cophy.models.cophynet import CoPhyNet
 from cophy.training.augmentation import matrices_of
+from cophy.training.checkpoints import build_network
 from cophy.training.losses import position_loss, stability_loss
-from cophy.training.prediction_module import PredictionModule
-from cophy.training.trained.network import build_network
+from cophy.training.predictor import PredictionModule
 from cophy.types import Batch, Inputs, Prediction, Targets, map_tensors
 
 Step = Callable[[Batch], object]

@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 from hydra.core.hydra_config import HydraConfig
 
-from cophy.app import variants
+from cophy import variants
 from tests.conftest import ROOT
 
 ON_TWO = ("trainer.devices=2", "trainer.strategy=ddp", "trainer.accelerator=cpu")

@@ -10,14 +10,13 @@ import pytest
 import torch
 from filelock import FileLock
 
-from cophy.app.composition import settings
-from cophy.app.schemas.registration import register
+from cophy.config import settings
 from cophy.dataset import generation
-from cophy.dataset.feed.batches import to_batch
-from cophy.dataset.feed.confounder_features import confounder_features
+from cophy.dataset.features import confounder_features, to_batch
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.scenario import Scenario, Simulator
+from cophy.schemas import register
 from cophy.types import Batch
 
 ROOT = Path(__file__).parents[1]

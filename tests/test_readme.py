@@ -12,7 +12,7 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, Override
 
-from cophy.app.composition import settings
+from cophy.config import settings
 from tests.conftest import ROOT
 
 README = ROOT / "README.md"

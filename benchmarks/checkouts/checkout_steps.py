@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 
-REGISTRATIONS = ("cophy.app.schemas.registration", "cophy.config")  # the module's name now, and before
+REGISTRATIONS = ("cophy.schemas", "cophy.config")  # the module's name now, and before
 
 
 def main(checkout: Path) -> None:

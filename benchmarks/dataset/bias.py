@@ -12,14 +12,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cophy.app.composition import settings
-from cophy.app.schemas.registration import register
-from cophy.dataset.audit.bias.classifiers import ask_classifier
-from cophy.dataset.audit.bias.visible_features import initial_scene
-from cophy.dataset.audit.tower_outcomes import falls_from_on_paper
+from cophy.audit.bias import ask_classifier, initial_scene
+from cophy.audit.data import falls_from_on_paper
+from cophy.config import settings
 from cophy.dataset.spec import DatasetSpec, Size
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.scenario import Scenario
+from cophy.schemas import register
 
 NUM_OBJECTS = 3
 SIZE = Size("small", 100, {"blocktower": {str(NUM_OBJECTS): 4000}})

@@ -16,12 +16,11 @@ from sklearn.model_selection import GroupKFold
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from cophy.app.composition import settings
-from cophy.app.datasets import generated_by
-from cophy.app.schemas.registration import register
+from cophy.audit.data import slots_in_order
 from cophy.bootstrap import interval
-from cophy.dataset.audit.first_frames import slots_in_order
+from cophy.config import generated_by, settings
 from cophy.dataset.spec import DatasetSpec
+from cophy.schemas import register
 
 Arrays = dict[str, np.ndarray]
 

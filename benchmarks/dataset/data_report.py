@@ -10,20 +10,17 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from cophy.app.composition import settings
-from cophy.app.datasets import generated_by
-from cophy.app.schemas.registration import register
+from cophy.audit.data import matters, slots_in_order
+from cophy.audit.simulated import moved_by_twice_the_rate
 from cophy.bootstrap import interval, mean
-from cophy.dataset.audit.do_operations_matter import matters
-from cophy.dataset.audit.first_frames import slots_in_order
-from cophy.dataset.audit.simulated.convergence import moved_by_twice_the_rate
+from cophy.config import generated_by, settings
 from cophy.dataset.difficulty import twin_differences
-from cophy.dataset.feed.batches import to_batch
+from cophy.dataset.features import stands, to_batch
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.state_features import stands
 from cophy.models.baselines import CopyB, CopyC
 from cophy.scenario import Simulator
-from cophy.training.measures.evaluation import evaluate
+from cophy.schemas import register
+from cophy.training.evaluation import evaluate
 
 Arrays = dict[str, np.ndarray]
 Lines = Iterator[tuple[str, str]]  # name of a number, and the number

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from cophy.app.composition import settings
-from cophy.app.schemas.registration import register
 from cophy.bootstrap import interval
+from cophy.config import settings
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store.forecasts import forecast_of
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
+from cophy.oracles.forecasts import forecast_of
+from cophy.oracles.posterior import resample
 from cophy.scenario import Scenario, Simulator
-from cophy.scenario.oracles.resampling import resample
+from cophy.schemas import register
 
 
 def main(name: str, num_objects: int, data_dir: Path) -> None:

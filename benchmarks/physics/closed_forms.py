@@ -6,8 +6,7 @@ import numpy as np
 from sections import CLOCK, SECONDS, scenario
 
 from cophy.scenario import Body, Scene, Shape, Simulator, Solver
-from cophy.scenario.physics.scene import Vector
-from cophy.scenario.physics.surroundings import floor
+from cophy.scenario.physics import Vector, floor
 
 G = 10.0
 CUBE = (1.0, 1.0, 1.0)

@@ -5,7 +5,7 @@ from sections import head_of, scenario, simulated
 from tqdm import tqdm
 
 from cophy.scenario import Simulator, Solver
-from cophy.scenario.physics.scene import trajectory_distance
+from cophy.scenario.physics import trajectory_distance
 
 NUM_PAIRS = 20
 SOLVERS = [Solver(rate, n, True) for rate, n in ((120, 50), (240, 20), (240, 50), (240, 100), (480, 50), (960, 50))]

@@ -7,7 +7,7 @@ from sections import CLOCK, head_of, scenario
 from tqdm import tqdm
 
 from cophy.scenario import Scene, Simulator
-from cophy.scenario.physics.energy import largest_gain
+from cophy.scenario.physics import largest_gain
 
 NUM_SEQUENCES = 400
 

@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from cophy.app.composition import settings
+from cophy.config import settings
 from cophy.scenario import Clock, Scene, Simulator, Solver, Trajectory
 
 CLOCK = Clock(num_frames=30, frame_rate_hz=5, state_rate_hz=20)

@@ -8,7 +8,7 @@ from tqdm import tqdm
 from cophy.scenario import Blocktower, Scene, Simulator, Solver
 from cophy.scenario.confounders import Confounders
 from cophy.scenario.experiment import with_confounders
-from cophy.scenario.physics.statics import Combinations
+from cophy.scenario.statics import Combinations
 
 NUM_TOWERS = 100
 SOLVERS = [Solver(rate, n, False) for rate, n in ((240, 50), (240, 100), (240, 200), (240, 400), (480, 100), (960, 50))]

@@ -11,8 +11,8 @@ from convergence import convergence
 from energies import energies
 from towers import towers
 
-from cophy.app.schemas.registration import register
 from cophy.scenario import Simulator
+from cophy.schemas import register
 
 ROOT = Path(__file__).parents[2]
 

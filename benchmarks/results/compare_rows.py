@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 
 from cophy.bootstrap import interval, mean
-from cophy.report.runs.stored_run import read_configuration, read_line
-from cophy.report.tables.shares import stored_errors
-from cophy.training.runs.identity import METRICS
+from cophy.report.runs import read_configuration, read_line
+from cophy.report.tables import stored_errors
+from cophy.training.run import METRICS
 
 TESTED = ["scenario", "split", "positions", "size"]  # what both runs share
 

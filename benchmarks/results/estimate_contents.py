@@ -26,13 +26,13 @@ from sklearn.preprocessing import StandardScaler
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from cophy.app.composition import settings
-from cophy.app.schemas.registration import SCENARIOS, register
-from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.config import settings
+from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.dataset.source import generated_sets
-from cophy.training.measures.metrics import mean_squared_error
-from cophy.training.measures.probe import estimate
-from cophy.training.trained.trained_predictor import TrainedPredictor
+from cophy.schemas import SCENARIOS, register
+from cophy.training.metrics import mean_squared_error
+from cophy.training.probe import estimate
+from cophy.training.trained import TrainedPredictor
 from cophy.types import Batch
 
 NUM_BLOCKS = 3

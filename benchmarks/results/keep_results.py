@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 
 from cophy.atomic_files import write_atomically
-from cophy.report.runs.stored_run import read_configuration, read_line
-from cophy.report.tables.shares import share_of_gain, stored_errors
-from cophy.training.runs.identity import METRICS
+from cophy.report.runs import read_configuration, read_line
+from cophy.report.tables import share_of_gain, stored_errors
+from cophy.training.run import METRICS
 
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "results" / "results.csv"

@@ -14,13 +14,13 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from cophy.app.composition import settings
-from cophy.app.schemas.registration import SCENARIOS, register
 from cophy.bootstrap import interval, mean
-from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.config import settings
+from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.dataset.source import generated_sets
-from cophy.training.measures.probe import Probed, estimate, probe
-from cophy.training.trained.trained_predictor import TrainedPredictor
+from cophy.schemas import SCENARIOS, register
+from cophy.training.probe import Probed, estimate, probe
+from cophy.training.trained import TrainedPredictor
 from cophy.types import Batch
 
 ASKED = {"probe_accuracy": "both", "probe_mass_accuracy": "mass", "probe_friction_accuracy": "friction"}

@@ -16,14 +16,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from cophy.app.composition import settings
-from cophy.app.datasets import generated_by
-from cophy.app.schemas.registration import register
+from cophy.config import generated_by, settings
 from cophy.dataset import generation
 from cophy.drawing.overview import render_sequence
 from cophy.scenario import Camera
-from cophy.scenario.rendering.renderer import Renderer
-from cophy.scenario.search.towers import TOWER_CELLS
+from cophy.scenario.rendering import Renderer
+from cophy.scenario.towers import TOWER_CELLS
+from cophy.schemas import register
 
 HERE = Path(__file__).parent
 RUNS = HERE.parent / "results" / "results.csv"

@@ -27,12 +27,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cophy.app.python.loading import load as load
-    from cophy.app.python.predictors import load_predictor as load_predictor
+    from cophy.loading import load as load
+    from cophy.loading import load_predictor as load_predictor
 
 __version__ = "0.1.0"
 __all__ = ["load", "load_predictor"]
-_MODULES = {"load": "cophy.app.python.loading", "load_predictor": "cophy.app.python.predictors"}
+_MODULES = {"load": "cophy.loading", "load_predictor": "cophy.loading"}
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from cophy.app.composition import composed, settings
+from cophy.config import composed, settings
 from tests.commands import run, run_apart
 from tests.conftest import ROOT, SCENARIOS
 

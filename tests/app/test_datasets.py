@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from cophy.app.composition import settings
-from cophy.app.datasets import generated_by
 from cophy.commands.generate import asked_for
-from cophy.dataset.pictures.images import Images
-from cophy.dataset.store.experiment_set import OracleSettings
-from cophy.dataset.store.states import States
-from cophy.scenario.rendering.frames import Backend, RenderSettings
+from cophy.config import generated_by, settings
+from cophy.dataset.experiment_set import OracleSettings
+from cophy.dataset.images import Images
+from cophy.dataset.states import States
+from cophy.scenario.rendering import Backend, RenderSettings
 
 OVERRIDES = {
     "as usual": (),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cophy.app.key_help import meanings
+from cophy.cli import meanings
 from tests import commands
 from tests.conftest import ROOT
 
@@ -53,7 +53,7 @@ def test_help_shows_the_values_that_the_command_would_use() -> None:
 
 
 def test_a_comment_is_a_meaning_and_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cophy.app.key_help.CONF", tmp_path)
+    monkeypatch.setattr("cophy.cli.CONF", tmp_path)
     (tmp_path / "any.yaml").write_text(
         'a: "#1" # what it is; ours: why\nb: 2 # ours: only why\nc: 3\nd:\n  e: [1, 2] # a list; paper Sec. 3\n'
         "# seldom changed\nf: 4 # hidden\n\ng: 5 # shown again\n"

@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 
 import cophy
 from cophy.dataset.splits import SPLITS
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from tests.conftest import SCENARIOS, tiny_spec
 from tests.dataset.released.indexing import LISTS

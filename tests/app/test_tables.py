@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 
-from cophy.app.composition import CONF
-from cophy.dataset.store.experiment_set import ORACLES
-from cophy.report.tables.paper_tables import PaperTable, paper_tables
+from cophy.config import CONF
+from cophy.dataset.experiment_set import ORACLES
+from cophy.report.tables import PaperTable, paper_tables
 from tests.commands import train
 from tests.conftest import ROOT
 

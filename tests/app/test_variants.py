@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from cophy.app.composition import composed
-from cophy.app.variants import LONGEST, variant
+from cophy.config import composed
+from cophy.variants import LONGEST, variant
 from tests.commands import train
 
 PATIENT = "training.callbacks.early_stopping.patience=20"

@@ -13,15 +13,12 @@ import pytest
 from hypothesis import note
 from hypothesis import strategies as st
 
-from cophy.app.report_choices import ComposedChoices
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.report.people.study_answers import read_answers
-from cophy.report.people.study_figures import draw_studies
-from cophy.report.people.study_tables import study_tables
-from cophy.study.answer_store import AnswerStore
-from cophy.study.answer_tables import naming
-from cophy.study.results.answer_file import read_clicks, read_participants
+from cophy.report_choices import ComposedChoices
+from cophy.study.answers import AnswerStore, naming
+from cophy.study.judging import read_clicks, read_participants
+from cophy.study.report import draw_studies, read_answers, study_tables
 from tests.attacks.faults import FAULTS
 from tests.attacks.often import often
 from tests.conftest import tiny_spec

@@ -11,8 +11,8 @@ from hypothesis import note
 from hypothesis import strategies as st
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import composed, to_config, to_plain
+from cophy import cli
+from cophy.config import composed, to_config, to_plain
 from tests.attacks.often import often
 
 COMMANDS = (

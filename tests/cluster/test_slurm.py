@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from tests.cluster.one_node_slurm import missing, one_node_slurm
 from tests.commands import run, train
 from tests.conftest import ROOT, tiny_spec

@@ -4,7 +4,7 @@ import hashlib
 from pathlib import Path
 
 from cophy.dataset import generation
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from tests.conftest import tiny_spec
 
 SPEC = tiny_spec("collision")

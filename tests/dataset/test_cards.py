@@ -8,7 +8,7 @@ import h5py
 import pytest
 
 from cophy.atomic_files import sha256
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from tests.conftest import SCENARIOS, tiny_spec
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cophy.dataset.difficulty import difficulty, true_margins, twin_differences
+from cophy.dataset.fields import experiment_fields
 from cophy.dataset.replay import trajectories_of
-from cophy.dataset.store.experiment_arrays import experiment_fields
-from cophy.dataset.store.hdf5_arrays import empty_arrays
-from cophy.scenario.physics.scene import trajectory_distance
+from cophy.dataset.shards import empty_arrays
+from cophy.scenario.physics import trajectory_distance
 from tests.conftest import tiny_spec
 
 SLOTS = [2, 0, 3]  # of the blocks, from the ground up

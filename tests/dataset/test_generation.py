@@ -14,9 +14,9 @@ from filelock import FileLock
 
 from cophy.atomic_files import appearing_whole
 from cophy.dataset import generation
+from cophy.dataset.shards import MANIFEST
 from cophy.dataset.spec import FORMAT_VERSION
-from cophy.dataset.store.manifest import MANIFEST
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from tests.conftest import ROOT
 from tests.dataset.copies import SPEC, copy, digests, generate

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from cophy.dataset import generation
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from tests.commands import run, run_apart
 from tests.conftest import tiny_spec
 

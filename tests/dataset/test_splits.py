@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cophy.app.composition import settings
+from cophy.config import settings
 from cophy.dataset.splits import SPLITS, Part, split_of_experiments
 
 

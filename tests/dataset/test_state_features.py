@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cophy.dataset.state_features import further_than_twin, stable_frames, stands, visible_axis
+from cophy.dataset.features import further_than_twin, stable_frames, stands, visible_axis
 from cophy.scenario import Shape
 
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]

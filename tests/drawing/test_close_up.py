@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 
 from cophy.dataset.spec import DatasetSpec
-from cophy.drawing.close_up import CloseUp, render_sequence, window_of
-from cophy.drawing.twins import render_twins
-from cophy.scenario.rendering.frames import MODALITIES, NO_OBJECT, Backend, RenderSettings
-from cophy.scenario.rendering.renderer import Renderer
+from cophy.drawing.overview import render_twins
+from cophy.drawing.sheets import CloseUp, render_sequence, window_of
+from cophy.scenario.rendering import MODALITIES, NO_OBJECT, Backend, Renderer, RenderSettings
 
 RENDER = RenderSettings(list(MODALITIES), 96, Backend.tiny)
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from cophy.dataset.spec import DatasetSpec
-from cophy.drawing.close_up import render_sequence
-from cophy.drawing.counterfactual_files import render_positions, window_of_changes, write_counterfactual
+from cophy.drawing.counterfactual import render_positions, window_of_changes, write_counterfactual
+from cophy.drawing.files import read_frames
 from cophy.drawing.overview import write_frames
-from cophy.drawing.picture_files import read_frames
+from cophy.drawing.sheets import render_sequence
 from cophy.errors import CophyError
-from cophy.scenario.rendering.renderer import Renderer
+from cophy.scenario.rendering import Renderer
 
 RESOLUTION, ROW = 96, 3
 

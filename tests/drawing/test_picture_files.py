@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from cophy.drawing import picture_files
-from cophy.drawing.picture_files import read_frames, write_picture
+from cophy.drawing import files
+from cophy.drawing.files import read_frames, write_picture
 from cophy.errors import CophyError
 from tests.dataset.released.trees import clip
 
@@ -85,7 +85,7 @@ def test_a_video_is_read_and_what_only_bears_its_name_is_not_followed(tmp_path: 
 
 def test_frames_that_are_too_many_together_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clip(tmp_path / "AB.mp4", 5, 5, 512)
-    monkeypatch.setattr(picture_files, "MAX_BYTES", 3 << 20)
+    monkeypatch.setattr(files, "MAX_BYTES", 3 << 20)
     with pytest.raises(CophyError, match=r"AB\.mp4 holds more than 3 MiB of pixels"):
         read_frames(tmp_path / "AB.mp4")
 

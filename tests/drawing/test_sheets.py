@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cophy.app.composition import settings
+from cophy.config import settings
 from cophy.drawing.sheets import DEPTH_COLORS, depth_in_color, grid, labelled, segmentation_in_color, side_by_side
 
 RED, BLUE = (np.full((2, 2, 3), color, np.uint8) for color in ((255, 0, 0), (0, 0, 255)))

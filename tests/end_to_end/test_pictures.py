@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from cophy.training.trained.trained_derenderer import TrainedDerenderer
+from cophy.training.trained import TrainedDerenderer
 from tests.commands import run, train
 
 

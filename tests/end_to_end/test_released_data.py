@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cophy.dataset.audit import audit_released
-from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.audit.released import audit_released
+from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.errors import CophyError
 from tests.commands import run
 from tests.commands import train as train_on_generated

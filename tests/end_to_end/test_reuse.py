@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from cophy.atomic_files import sha256
-from cophy.report.runs.stored_run import read_line
+from cophy.report.runs import read_line
 from tests.commands import train
 
 RUN = "seed0+size-tiny+max_epochs-1"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from tests.commands import train
 from tests.conftest import tiny_spec
 

@@ -5,8 +5,8 @@ from dataclasses import fields
 import torch
 from torch import Tensor, nn
 
-from cophy.app.composition import composed, to_plain
-from cophy.training.trained.network import build_network
+from cophy.config import composed, to_plain
+from cophy.training.checkpoints import build_network
 from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, Batch, Inputs, Prediction, Targets
 
 ABLATIONS = ("full", "static_gating", "mlp", "single_step", "feedforward", "gt_confounders")

@@ -8,10 +8,8 @@ from torch import Tensor, nn
 from torch.nn.functional import linear
 
 from cophy.models.baselines import InteractionNetwork
-from cophy.models.cophynet import CoPhyNet
-from cophy.models.decoders import Rollout
-from cophy.models.layers.graph_convolution import GraphConvolution, PairwiseMLP
-from cophy.models.options import ConfounderSource, Gating
+from cophy.models.cophynet import ConfounderSource, CoPhyNet, Gating, Rollout
+from cophy.models.layers import GraphConvolution, PairwiseMLP
 from cophy.types import Inputs, Prediction, take
 
 Nodes = dict[int, Tensor]  # slot of a present object -> its features

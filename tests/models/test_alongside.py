@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import torch
 
-from cophy.models.alongside.alongside import PARTS
-from cophy.models.alongside.own import HIGH, Own
-from cophy.models.appearance import Appearance
+from cophy.models.alongside import HIGH, PARTS, Own
+from cophy.models.layers import Appearance
 from cophy.types import Inputs
 from tests.models.networks import build, random_batch
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from cophy.models.alongside.contacts import CAUTIOUS, Contact, Contacts
+from cophy.models.alongside import CAUTIOUS, Contact, Contacts
 
 
 def meet(apart: list[float], moving: list[float]) -> Contact:

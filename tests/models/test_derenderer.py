@@ -4,9 +4,9 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from cophy.app.composition import composed, to_plain
+from cophy.config import composed, to_plain
 from cophy.models.derenderer import Derenderer
-from cophy.training.trained.network import build_network
+from cophy.training.checkpoints import build_network
 
 
 def network(readout: str = "attention", num_slots: int = 4, width: int = 4) -> Derenderer:

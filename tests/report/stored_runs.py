@@ -5,7 +5,7 @@ from typing import Any
 
 import torch
 
-from cophy.training.runs.results import write_predictions
+from cophy.training.run import write_predictions
 from cophy.types import Prediction, Targets
 from tests.report.lines import run
 

@@ -3,8 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from cophy.dataset.audit import Check
-from cophy.report.audit_page import write_page
+from cophy.audit.checks import Check
+from cophy.audit.report import write_page
 
 
 def test_without_a_varying_confounder_of_objects_there_is_no_figure_of_outcomes(tiny, tmp_path: Path) -> None:

@@ -8,11 +8,10 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from cophy.app.composition import settings
+from cophy.config import settings
 from cophy.report import figures
 from cophy.report.figures import draw_bars, of_predictions, write_figure
-from cophy.report.tables.filled_tables import fill
-from cophy.report.tables.paper_tables import paper_tables
+from cophy.report.tables import fill, paper_tables
 from tests.report.lines import measured
 
 TABLE, COLLISION = (next(table for table in paper_tables() if table.id == name) for name in ("blocktower", "collision"))

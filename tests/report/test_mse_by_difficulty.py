@@ -10,14 +10,13 @@ import pytest
 import torch
 
 from cophy.bootstrap import mean
-from cophy.dataset.feed.batches import to_batch
+from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, Part
-from cophy.dataset.store.states import States
-from cophy.report.difficulty_page import draw, page
-from cophy.report.mse_by_difficulty import ALL, WORDS, groups, mse_by_difficulty
-from cophy.training.measures.evaluation import evaluate
-from cophy.training.runs.results import write_predictions
+from cophy.dataset.states import States
+from cophy.report.difficulty import ALL, WORDS, draw, groups, mse_by_difficulty, page
+from cophy.training.evaluation import evaluate
+from cophy.training.run import write_predictions
 from cophy.types import Prediction
 from tests.conftest import tiny_spec
 from tests.report.lines import run

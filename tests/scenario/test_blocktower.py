@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 
 from cophy.dataset.difficulty import twin_differences
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from tests.conftest import tiny_spec
 
 

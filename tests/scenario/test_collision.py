@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.scenario import Collision, Scene, Shape
-from cophy.scenario.do_operations import Displace
-from cophy.scenario.physics.orientation import z_axis
+from cophy.scenario.experiment import Displace
+from cophy.scenario.physics import z_axis
 from tests.conftest import tiny_spec
 
 

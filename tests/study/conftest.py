@@ -9,11 +9,11 @@ import pytest
 from httpx import Response
 from starlette.testclient import TestClient
 
-from cophy.app.composition import settings
-from cophy.dataset.store.states import States
-from cophy.study.answer_store import PERSON, AnswerStore
-from cophy.study.pages.serving import OpenStudy, open_study
-from cophy.study.study_settings import Limits, StudySettings
+from cophy.config import settings
+from cophy.dataset.states import States
+from cophy.study.answers import PERSON, AnswerStore
+from cophy.study.server import OpenStudy, open_study
+from cophy.study.settings import Limits, StudySettings
 from tests.conftest import tiny_spec
 
 GENEROUS = Limits(requests_per_second=10_000, people_per_minute=10_000)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from cophy.study.study_settings import Limits
+from cophy.study.settings import Limits
 from tests.study.conftest import Site, answer_to, has_its_headers, take_one
 
 CLICK = {"x": 3, "y": 4, "at_ms": 5}

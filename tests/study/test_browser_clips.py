@@ -11,14 +11,14 @@ import pytest
 
 from cophy.atomic_files import appearing_whole
 from cophy.errors import CophyError
-from cophy.study.pages import browser_clips
+from cophy.study import clips
 
 FRAMES = np.random.default_rng(0).integers(0, 255, size=(30, 64, 64, 3), dtype=np.uint8)
 
 
 def write(path: Path) -> None:
     with appearing_whole(path) as temporary:
-        browser_clips._write_clip(temporary, FRAMES, 25)
+        clips._write_clip(temporary, FRAMES, 25)
 
 
 @contextmanager
@@ -34,7 +34,7 @@ def files_of_at_most(num_bytes: int) -> Iterator[None]:
 
 def test_a_clip_has_all_its_frames(tmp_path: Path) -> None:
     write(tmp_path / "1-ab.webm")
-    assert browser_clips._count_frames(tmp_path / "1-ab.webm") == len(FRAMES)
+    assert clips._count_frames(tmp_path / "1-ab.webm") == len(FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == ["1-ab.webm"]
 
 

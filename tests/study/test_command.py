@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from cophy.errors import CophyError
-from cophy.study.pages.serving import alone, listening
+from cophy.study.server import alone, listening
 from tests.commands import run
 from tests.study.conftest import Site, take_one
 

@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cophy.study.results.answer_file import read_clicks
-from cophy.study.results.judging import human_rows, judge
+from cophy.study.judging import human_rows, judge, read_clicks
 from tests.study.conftest import Site, answer_to, take_one
 
 

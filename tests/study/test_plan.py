@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cophy.errors import CophyError
-from cophy.study.plan import Assignment, assignments_of, chosen_pairs, practice
-from cophy.study.study_settings import SETTINGS, StudySettings
+from cophy.study.sessions import Assignment, assignments_of, chosen_pairs, practice
+from cophy.study.settings import SETTINGS, StudySettings
 
 KINDS = np.random.default_rng(7).integers(0, 4, size=(90, 2))
 CASES = [(40, 20, 0), (40, 20, 5), (60, 20, 1), (12, 3, 2), (2, 1, 3)]

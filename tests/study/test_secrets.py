@@ -5,10 +5,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from cophy.drawing.files import read_frames
 from cophy.drawing.overview import render_sequence
-from cophy.drawing.picture_files import read_frames
-from cophy.scenario.rendering.renderer import Renderer
-from cophy.study.pages.browser_clips import CLIP, PICTURE
+from cophy.scenario.rendering import Renderer
+from cophy.study.clips import CLIP, PICTURE
 from tests.study.conftest import Site, take_one
 
 

@@ -6,14 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cophy.study.answer_store import PERSON, AnswerStore
-from cophy.study.pages.serving import OpenStudy
-from cophy.study.plan import Assignment
-from cophy.study.results.answer_file import read_clicks
-from cophy.study.results.judging import human_rows, judge
-from cophy.study.simulation.power import differences, people_needed, power_curve
-from cophy.study.simulation.strategies import MEAN_ERROR, STRATEGIES
-from cophy.study.simulation.visits import take_study
+from cophy.study.answers import PERSON, AnswerStore
+from cophy.study.judging import human_rows, judge, read_clicks
+from cophy.study.server import OpenStudy
+from cophy.study.sessions import Assignment
+from cophy.study.simulation import MEAN_ERROR, STRATEGIES, differences, people_needed, power_curve, take_study
 from tests.study.conftest import GENEROUS, Site, take_one
 
 

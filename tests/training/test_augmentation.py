@@ -7,12 +7,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from cophy.dataset.feed.appearance_features import poses
-from cophy.dataset.feed.batch_order import Share
-from cophy.dataset.feed.confounder_features import confounder_statistics, standardised
+from cophy.dataset.datamodules import Share
+from cophy.dataset.features import confounder_statistics, poses, standardised
 from cophy.scenario import Scenario, Simulator
-from cophy.scenario.physics.scene import Body, Scene, Shape, trajectory_distance
-from cophy.scenario.symmetry import TURNS
+from cophy.scenario.physics import Body, Scene, Shape, trajectory_distance
+from cophy.scenario.scenario import TURNS
 from cophy.training.augmentation import augment, disturb, matrices_of, transform
 from cophy.training.settings import Augmentation
 from cophy.types import HORIZONTAL, Batch, take

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from cophy.training.curves import Curves
-from cophy.training.runs.identity import Run
+from cophy.training.figures import Curves
+from cophy.training.run import Run
 
 
 def kept(directory: Path) -> EventAccumulator:

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from cophy.scenario import Scenario
-from cophy.training.callbacks import prediction_figures
-from cophy.training.callbacks.prediction_figures import DrawnPredictions
+from cophy.training import figures
+from cophy.training.figures import DrawnPredictions
 from cophy.types import Prediction
 from tests.models.networks import random_batch
 
@@ -24,7 +24,7 @@ def test_the_clip_is_of_twins_or_of_one_experiment(
     pairs: list[int], num_rows: int, scenario_of: Callable[[str], Scenario], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario, clips = scenario_of("balls"), []
-    monkeypatch.setattr(prediction_figures, "add_clip", lambda writer, name, frames, **_: clips.append(frames))
+    monkeypatch.setattr(figures, "add_clip", lambda writer, name, frames, **_: clips.append(frames))
     batch = random_batch(scenario.num_slots, [4] * 4)
     shown = replace(batch, targets=replace(batch.targets, pair=torch.tensor(pairs)))
     prediction = Prediction(shown.targets.position, torch.zeros_like(shown.targets.position[..., 0]))

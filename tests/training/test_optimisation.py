@@ -5,7 +5,7 @@ from torch import nn
 from torch.optim import SGD
 from torch.optim.lr_scheduler import LambdaLR
 
-from cophy.training.optimisation import cosine_to_zero
+from cophy.training.settings import cosine_to_zero
 
 
 def rates(optimizer: SGD, schedule: LambdaLR, epochs: int) -> list[float]:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
+from cophy.dataset.datamodules import CounterfactualDataset
 from cophy.types import Batch
 from tests.models.networks import build
 from tests.training.test_prediction_module import module_of

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cophy.app.composition import settings
+from cophy.config import settings
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
-from cophy.training.prediction_module import PredictionModule
+from cophy.training.predictor import PredictionModule
 from cophy.types import Batch, Inputs, Prediction
 
 

@@ -6,15 +6,15 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from cophy.training.callbacks import stopwatch
-from cophy.training.callbacks.stopwatch import Stopwatch
+from cophy.training import callbacks
+from cophy.training.callbacks import Stopwatch
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(0.0, 3), (3600.0, 0)])
 def test_progress_is_logged_now_and_then(
     seconds: float, told: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(stopwatch, "TOLD_EVERY_S", seconds)
+    monkeypatch.setattr(callbacks, "TOLD_EVERY_S", seconds)
     measured = {"val/mse": torch.tensor(0.25)}
     trainer = SimpleNamespace(
         progress_bar_callback=None, is_global_zero=True, max_epochs=3, callback_metrics=measured, current_epoch=0

@@ -6,11 +6,9 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import CONF, to_config
-from cophy.app.datasets import experiments_of, generated_by
-from cophy.app.schemas.commands import AuditConfig
-from cophy.app.schemas.registration import register
+from cophy import cli
+from cophy.config import CONF, experiments_of, generated_by, to_config
+from cophy.schemas import AuditConfig, register
 
 register()
 
@@ -18,7 +16,7 @@ register()
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="audit")
 @cli.in_one_line
 def main(cfg: DictConfig) -> None:
-    from cophy.report.audit_report import report_generated, report_released  # matplotlib takes a second to import
+    from cophy.audit.report import report_generated, report_released  # matplotlib takes a second to import
 
     settings = to_config(cfg, AuditConfig)
     if settings.source.is_generated:

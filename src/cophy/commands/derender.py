@@ -5,12 +5,10 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import CONF, to_config
-from cophy.app.datasets import experiments_of
-from cophy.app.schemas.commands import DerenderConfig
-from cophy.app.schemas.registration import register
-from cophy.dataset.pictures.needed_frames import FRAMES
+from cophy import cli
+from cophy.config import CONF, experiments_of, to_config
+from cophy.dataset.experiment_set import FRAMES
+from cophy.schemas import DerenderConfig, register
 
 register()
 
@@ -18,8 +16,11 @@ register()
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="derender")
 @cli.in_one_line
 def main(cfg: DictConfig) -> None:
-    from cophy.training.trained.derendering import derender  # torch takes seconds to import; --help does not need it
-    from cophy.training.trained.trained_derenderer import TrainedDerenderer, find_derenderer
+    from cophy.training.trained import (
+        TrainedDerenderer,
+        derender,  # torch takes seconds to import; --help does not need it
+        find_derenderer,
+    )
 
     settings = to_config(cfg, DerenderConfig)
     chosen = experiments_of(settings, settings.num_objects)

@@ -5,12 +5,10 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import CONF, to_config
-from cophy.app.datasets import generated_by
-from cophy.app.schemas.commands import ExportConfig
-from cophy.app.schemas.registration import register
+from cophy import cli
+from cophy.config import CONF, generated_by, to_config
 from cophy.dataset import generation
+from cophy.schemas import ExportConfig, register
 
 register()
 
@@ -18,7 +16,7 @@ register()
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="export")
 @cli.in_one_line
 def main(cfg: DictConfig) -> None:
-    from cophy.dataset.released.export.exporter import export
+    from cophy.released.export import export
 
     settings = to_config(cfg, ExportConfig)
     root = Path(settings.root)

@@ -5,16 +5,14 @@ from collections.abc import Iterator
 import hydra
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import CONF, to_config
-from cophy.app.datasets import generated_by
-from cophy.app.schemas.commands import GenerateConfig
-from cophy.app.schemas.registration import register
+from cophy import cli
+from cophy.config import CONF, generated_by, to_config
 from cophy.dataset import generation
-from cophy.dataset.pictures.needed_frames import FRAMES
-from cophy.dataset.store.shardset import ShardSet
-from cophy.dataset.store.states import States
+from cophy.dataset.experiment_set import FRAMES
+from cophy.dataset.shards import ShardSet
+from cophy.dataset.states import States
 from cophy.errors import CophyError
+from cophy.schemas import GenerateConfig, register
 
 register()
 

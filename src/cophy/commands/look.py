@@ -6,14 +6,12 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import CONF, to_config
-from cophy.app.datasets import generated_by
-from cophy.app.schemas.commands import LookConfig
-from cophy.app.schemas.registration import register
+from cophy import cli
+from cophy.config import CONF, generated_by, to_config
 from cophy.dataset import generation
 from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError
+from cophy.schemas import LookConfig, register
 
 register()
 log = logging.getLogger(__name__)
@@ -22,10 +20,14 @@ log = logging.getLogger(__name__)
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="look")
 @cli.in_one_line
 def main(cfg: DictConfig) -> None:
-    from cophy.drawing.modalities import write_modalities
-    from cophy.drawing.overview import write_contact_sheet, write_experiment, write_frames
-    from cophy.drawing.twins import write_twins
-    from cophy.scenario.rendering.renderer import Renderer
+    from cophy.drawing.overview import (
+        write_contact_sheet,
+        write_experiment,
+        write_frames,
+        write_modalities,
+        write_twins,
+    )
+    from cophy.scenario.rendering import Renderer
 
     settings = to_config(cfg, LookConfig)
     sets = generated_by(settings)

@@ -6,10 +6,9 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import CONF, to_config
-from cophy.app.schemas.commands import PredictConfig
-from cophy.app.schemas.registration import SCENARIOS, register
+from cophy import cli
+from cophy.config import CONF, to_config
+from cophy.schemas import SCENARIOS, PredictConfig, register
 
 register()
 log = logging.getLogger(__name__)
@@ -18,11 +17,9 @@ log = logging.getLogger(__name__)
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="predict")
 @cli.in_one_line
 def main(cfg: DictConfig) -> None:
-    from cophy.drawing.counterfactual_files import write_counterfactual
-    from cophy.drawing.picture_files import read_frames
-    from cophy.training.trained.counterfactual_prediction import check_pair, predict
-    from cophy.training.trained.trained_derenderer import TrainedDerenderer
-    from cophy.training.trained.trained_predictor import TrainedPredictor
+    from cophy.drawing.counterfactual import write_counterfactual
+    from cophy.drawing.files import read_frames
+    from cophy.training.trained import TrainedDerenderer, TrainedPredictor, check_pair, predict
 
     settings = to_config(cfg, PredictConfig)
     derenderer = TrainedDerenderer(Path(settings.derenderer))

@@ -5,10 +5,9 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import CONF, to_config
-from cophy.app.schemas.commands import ReportConfig
-from cophy.app.schemas.registration import register
+from cophy import cli
+from cophy.config import CONF, to_config
+from cophy.schemas import ReportConfig, register
 
 register()
 
@@ -16,8 +15,8 @@ register()
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="report")
 @cli.in_one_line
 def main(cfg: DictConfig) -> None:
-    from cophy.app.report_choices import ComposedChoices
     from cophy.report.pipeline import write_report  # matplotlib takes a second to import; --help does not need it
+    from cophy.report_choices import ComposedChoices
 
     settings = to_config(cfg, ReportConfig)
     choices = ComposedChoices(settings.source.name, Path(settings.data_dir))

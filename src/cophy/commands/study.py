@@ -13,16 +13,14 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import CONF, to_config
-from cophy.app.datasets import generated_by
-from cophy.app.schemas.registration import register
-from cophy.app.schemas.study_command import ACTIONS, StudyConfig
+from cophy import cli
 from cophy.atomic_files import appearing_whole, read_plain, write_atomically
+from cophy.config import CONF, generated_by, to_config
 from cophy.dataset import generation
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.study.answer_tables import ANSWERS, SIMULATED
+from cophy.schemas import ACTIONS, StudyConfig, register
+from cophy.study.answers import ANSWERS, SIMULATED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,8 +53,8 @@ def _data(settings: StudyConfig) -> States:
 
 def _serve(settings: StudyConfig, states: States) -> None:
     """Until it is interrupted."""
-    from cophy.study.answer_store import PERSON, AnswerStore
-    from cophy.study.pages.serving import alone, listening, open_study, serve
+    from cophy.study.answers import PERSON, AnswerStore
+    from cophy.study.server import alone, listening, open_study, serve
 
     directory, welcome = Path(settings.directory), _welcome(settings)
     with listening(settings.host, settings.port) as listener, alone(directory / ANSWERS):
@@ -72,7 +70,7 @@ def _serve(settings: StudyConfig, states: States) -> None:
 
 def _export(settings: StudyConfig, states: States) -> None:
     """answers.csv with a line per object of every answer, participants.csv, and table.csv with the rows of Table 1."""
-    from cophy.study.results.judging import human_rows
+    from cophy.study.judging import human_rows
 
     path = Path(settings.directory) / ANSWERS
     if not path.exists():
@@ -93,12 +91,10 @@ def _simulate(settings: StudyConfig, states: States) -> None:
 
     The one before is there until the new one is whole.
     """
-    from cophy.study.answer_store import AnswerStore
-    from cophy.study.answer_tables import naming, remove_journal
-    from cophy.study.pages.serving import alone, open_study
-    from cophy.study.results.judging import human_rows
-    from cophy.study.simulation.strategies import STRATEGIES
-    from cophy.study.simulation.visits import take_study
+    from cophy.study.answers import AnswerStore, naming, remove_journal
+    from cophy.study.judging import human_rows
+    from cophy.study.server import alone, open_study
+    from cophy.study.simulation import STRATEGIES, take_study
 
     logging.getLogger("httpx").setLevel(logging.WARNING)  # says every request otherwise
     directory, welcome = Path(settings.directory), _welcome(settings)
@@ -119,7 +115,7 @@ def _simulate(settings: StudyConfig, states: States) -> None:
 
 def _power(settings: StudyConfig, states: States) -> None:
     """power.csv and power.png, from the simulated participants that are as wrong as the paper's people."""
-    from cophy.study.simulation.power import differences, draw_power, people_needed, power_curve
+    from cophy.study.simulation import differences, draw_power, people_needed, power_curve
 
     path = Path(settings.directory) / SIMULATED
     if not path.exists():
@@ -143,8 +139,7 @@ def _power(settings: StudyConfig, states: States) -> None:
 def _judged(path: Path, settings: StudyConfig, states: States) -> "tuple[pd.DataFrame, pd.DataFrame]":
     """The participants of this study in a file of answers, and their clicks."""
     from cophy.study.experiments import StudyExperiments
-    from cophy.study.results.answer_file import read_clicks, read_participants
-    from cophy.study.results.judging import judge
+    from cophy.study.judging import judge, read_clicks, read_participants
 
     experiments = StudyExperiments(states, settings.split, settings.study)
     people = read_participants(path, experiments.study_id)

@@ -8,12 +8,11 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from cophy.app import cli
-from cophy.app.composition import CONF, to_config, to_plain
-from cophy.app.schemas.commands import TrainConfig
-from cophy.app.schemas.registration import register
-from cophy.app.variants import variant
+from cophy import cli
+from cophy.config import CONF, to_config, to_plain
 from cophy.dataset.source import GENERATED
+from cophy.schemas import TrainConfig, register
+from cophy.variants import variant
 
 register()
 log = logging.getLogger(__name__)
@@ -22,11 +21,9 @@ log = logging.getLogger(__name__)
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
 @cli.in_one_line
 def main(cfg: DictConfig) -> float:
-    from cophy.app.assembly import run_configured  # Lightning takes seconds to import; --help does not need it
-    from cophy.app.run_results import show_results
-    from cophy.training.runs.claim import claimed
-    from cophy.training.runs.devices import is_first
-    from cophy.training.runs.identity import METRICS, Run
+    from cophy.assembly import run_configured  # Lightning takes seconds to import; --help does not need it
+    from cophy.run_results import show_results
+    from cophy.training.run import METRICS, Run, claimed, is_first
 
     chosen = HydraConfig.get()
     choices = chosen.runtime.choices

@@ -6,8 +6,8 @@ Everything follows from the stored states; nothing of it is stored.
 import numpy as np
 
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.stored_towers import stored_towers
-from cophy.scenario.physics.statics import joint_margins
+from cophy.dataset.states import stored_towers
+from cophy.scenario.statics import joint_margins
 
 
 def difficulty(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> dict[str, np.ndarray]:

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from cophy.dataset.experiment_set import ExperimentSet, FrameSource, Pictures
 from cophy.dataset.splits import SPLITS
-from cophy.dataset.store.experiment_set import ExperimentSet, FrameSource, Pictures
 from cophy.scenario import Scenario
 
 SIGNED = {np.dtype("<u2"): "<i4"}  # which torch can hardly compute with

@@ -17,9 +17,7 @@ from filelock import FileLock
 from tqdm import tqdm
 
 from cophy.atomic_files import appearing_whole, check_space, without_leftovers
-from cophy.dataset.store.hdf5_arrays import DamagedShardError
-from cophy.dataset.store.manifest import MANIFEST
-from cophy.dataset.store.shardset import ShardSet
+from cophy.dataset.shards import MANIFEST, DamagedShardError, ShardSet
 from cophy.errors import CophyError
 from cophy.workers import begin_worker, ending_workers
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from cophy.scenario import Scenario
-from cophy.scenario.do_operations import Displace, DoOperation, Remove
-from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
+from cophy.scenario.experiment import Displace, DoOperation, Remove
+from cophy.scenario.physics import Body, Scene, Shape, Trajectory
 
 
 def scene_of(arrays: dict[str, np.ndarray], row: int, scenario: Scenario) -> Scene:

@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from cophy.dataset.released.formats import FORMATS
-from cophy.dataset.released.released_states import ReleasedStates
+from cophy.dataset.experiment_set import ExperimentSet
 from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.splits import Split
-from cophy.dataset.store.experiment_set import ExperimentSet
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.errors import CophyError
+from cophy.released.formats import FORMATS
+from cophy.released.states import ReleasedStates
 from cophy.scenario import Scenario
 
 GENERATED = "generated"

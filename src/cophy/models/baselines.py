@@ -3,12 +3,8 @@
 import torch
 from torch import nn
 
-from cophy.models.appearance import Appearance
-from cophy.models.layers.graph import hear_sum_of_near
-from cophy.models.layers.graph_convolution import PairwiseMLP
-from cophy.models.layers.mlp import mlp
-from cophy.models.layers.packing import pack, unpack
-from cophy.models.options import ConfounderInput
+from cophy.models.cophynet import ConfounderInput
+from cophy.models.layers import Appearance, PairwiseMLP, hear_sum_of_near, mlp, pack, unpack
 from cophy.types import CONFOUNDERS, Inputs, Prediction, true_confounders
 
 

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cophy.models.layers.mlp import mlp
-from cophy.models.options import Readout
+from cophy.models.cophynet import Readout
+from cophy.models.layers import mlp
 
 NUM_APPEARANCE_FEATURES = 15  # of an object, where it is seen
 

@@ -1,4 +1,8 @@
-"""Figures of runs and tables: predictions, error over time, tables as bars."""
+"""Share of towers whose CD stands, for every value of each confounder (the paper's stability distribution).
+
+Colours of the report's figures.
+Figures of runs and tables: predictions, error over time, tables as bars.
+"""
 
 import io
 from collections.abc import Iterable, Iterator, Mapping
@@ -11,11 +15,14 @@ from matplotlib.figure import Figure
 
 from cophy.atomic_files import write_atomically
 from cophy.drawing.plots import draw_error_over_time, draw_trajectories, error_over_time
-from cophy.report.colors import BLUE, GREY, RED
-from cophy.report.runs.comparable import of_largest_size, of_seeds
-from cophy.report.tables.filled_tables import FilledTable
+from cophy.report.runs import of_largest_size, of_seeds
+from cophy.report.tables import FilledTable
 from cophy.scenario import Scenario
-from cophy.training.runs.results import read_predictions
+from cophy.scenario.towers import TOWER_CELLS
+from cophy.training.run import read_predictions
+
+GREY, BLUE, RED = "#b9bec6", "#2b6fd6", "#d1342f"
+
 
 NUM_SHOWN = 2  # experiments: a twin pair, which shares C but not D
 CHARACTERS = 14  # of a line of a panel's title, unless a word is longer
@@ -118,3 +125,47 @@ def draw_bars(filled: FilledTable) -> Figure:
 def _in_lines(label: str) -> str:
     """A panel's title in short lines; words stay whole."""
     return fill(label, CHARACTERS, break_long_words=False, break_on_hyphens=False)
+
+
+EVEN_SHARE = (45, 55)  # %, in grey
+
+
+def draw_stability_distribution(datasets: dict[int, dict[str, np.ndarray]]) -> Figure:
+    """Bars per value. Masses and frictions: one combination per bar, blocks from the bottom up.
+
+    datasets: towers, arrays per number of blocks.
+    """
+    figure = Figure(figsize=(15, 3.4 * len(datasets)), layout="constrained")
+    axes = figure.subplots(len(datasets), 4, squeeze=False, sharey=True, width_ratios=[4, 4, 1, 1])
+    standing = np.array([cell.counterfactual for cell in TOWER_CELLS])
+    for row, (count, arrays) in zip(axes, sorted(datasets.items()), strict=True):
+        for axis, (name, value) in zip(row, _values(arrays, count).items(), strict=True):
+            share = 100 * pd.Series(standing[arrays["cell"]]).groupby(value).mean()
+            at = np.arange(len(share))
+            axis.bar(at, share, color=BLUE, label="CD stands")
+            axis.bar(at, 100 - share, bottom=share, color=GREY, label="CD falls")
+            axis.set_xticks(at, share.index)
+            axis.axhspan(*EVEN_SHARE, color="k", alpha=0.12, lw=0)
+            axis.set_title(f"{name}, K = {count}" if len(share) > 3 else name, fontsize="medium")
+            axis.set_ylim(0, 100)
+            axis.tick_params(axis="x", rotation=90 if len(share) > 3 else 0, labelsize="small")
+        row[0].set_ylabel("experiments, %")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=2, frameon=False)
+    return figure
+
+
+def _values(arrays: dict[str, np.ndarray], num_blocks: int) -> dict[str, np.ndarray]:
+    """(experiment,) what each confounder is, as text."""
+    height = np.where(arrays["presence"][:, 0], arrays["states"][:, 0, 0, :, 2], np.inf)
+    blocks = height.argsort(axis=1)[:, :num_blocks]
+    return {
+        "mass, kg": _combinations(np.take_along_axis(arrays["mass"], blocks, axis=1)),
+        "friction": _combinations(np.take_along_axis(arrays["friction"], blocks, axis=1)),
+        "gravity x, m/s²": _combinations(arrays["gravity"][:, :1]),
+        "gravity y, m/s²": _combinations(arrays["gravity"][:, 1:2]),
+    }
+
+
+def _combinations(values: np.ndarray) -> np.ndarray:
+    return np.array([" ".join(f"{value:g}" for value in row) for row in values])

@@ -9,23 +9,17 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from cophy.atomic_files import write_atomically
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.report import difficulty_page, figures
-from cophy.report.choices import Choices
-from cophy.report.mse_by_difficulty import mse_by_difficulty
-from cophy.report.people import study_tables
-from cophy.report.people.study_answers import StudyAnswers, read_answers
-from cophy.report.people.study_figures import draw_studies
-from cophy.report.runs.run_overview import kinds, overviews
-from cophy.report.runs.run_table import read_runs, summary
-from cophy.report.stability_distribution import draw_stability_distribution
-from cophy.report.tables import table_formats, terminal_tables
-from cophy.report.tables.filled_tables import FilledTable, fill
-from cophy.report.tables.paper_tables import PaperTable, paper_tables
-from cophy.report.tables.shares import stored_errors
-from cophy.report.tables.twin_table import CAPTION, twin_tables
+from cophy.report import difficulty, figures, render
+from cophy.report.difficulty import mse_by_difficulty
+from cophy.report.figures import draw_stability_distribution
+from cophy.report.overview import CAPTION, kinds, overviews, twin_tables
+from cophy.report.runs import Choices, notice, read_runs, summary
+from cophy.report.tables import FilledTable, PaperTable, fill, paper_tables, stored_errors
 from cophy.scenario import Scenario
+from cophy.study import report
+from cophy.study.report import StudyAnswers, draw_studies, read_answers
 
 log = logging.getLogger(__name__)
 
@@ -56,22 +50,20 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
     (directory / "figures").mkdir(parents=True, exist_ok=True)
     tables = overviews(runs)
     for number, (title, table) in enumerate(tables.items(), start=1):
-        terminal_tables.show(f"What was run: {title}", table, OVERVIEW if number == len(tables) else "")
+        render.show(f"What was run: {title}", table, OVERVIEW if number == len(tables) else "")
     _show_failures(runs)
     filled = [_filled(table, runs, studies) for table in paper_tables()]
     drawn = _show_tables(filled, show_all=show_all)
     twins = twin_tables(runs)
     _show_twins(runs)
-    answered = study_tables.study_tables(studies)
+    answered = report.study_tables(studies)
     for title, table in answered.items():
-        terminal_tables.show(title, table, study_tables.CAPTION)
+        render.show(title, table, report.CAPTION)
     everything = summary(runs)
     if show_all and len(everything):
         shown = [name for name in SHOWN if name in everything]
-        terminal_tables.show("Everything that was run", everything[shown].set_index("run"))
-    _write_tables(
-        directory, filled, _sections(twins, CAPTION) + _sections(answered, study_tables.CAPTION), everything, runs
-    )
+        render.show("Everything that was run", everything[shown].set_index("run"))
+    _write_tables(directory, filled, _sections(twins, CAPTION) + _sections(answered, report.CAPTION), everything, runs)
     finished = runs[runs["error"].isna()] if len(runs) else runs
     if len(finished):
         scenarios = {str(name): choices.scenario(str(name)) for name in finished["scenario"].unique()}
@@ -91,7 +83,7 @@ def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins:
 def _filled(table: PaperTable, runs: pd.DataFrame, studies: list[StudyAnswers]) -> FilledTable:
     """A table of the paper, with the people of the studies where it has rows of people."""
     names = table.select
-    people = study_tables.of_people(studies, names["scenario"], names["split"]) if "split" in names else None
+    people = report.of_people(studies, names["scenario"], names["split"]) if "split" in names else None
     return fill(table, runs, stored_errors, people)
 
 
@@ -99,9 +91,9 @@ def _show_failures(runs: pd.DataFrame) -> None:
     """Print why runs failed."""
     failed = runs[runs["error"].notna()].to_dict("records") if len(runs) else []
     for run in failed[:MOST_FAILURES]:
-        log.info(terminal_tables.notice(f"failed: {run['directory']}: {run['error']}"))
+        log.info(notice(f"failed: {run['directory']}: {run['error']}"))
     if failed:
-        log.info(terminal_tables.notice("A failed run is forgotten once it is made again, or its folder is removed."))
+        log.info(notice("A failed run is forgotten once it is made again, or its folder is removed."))
 
 
 def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figure]:
@@ -110,22 +102,22 @@ def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figu
     for result in filled:
         is_filled = result.has_runs
         empty += not is_filled
-        cells = result.cells(bold=terminal_tables.BOLD)
+        cells = result.cells(bold=render.BOLD)
         if show_all:
-            terminal_tables.show(result.table.title, cells, result.caption)
+            render.show(result.table.title, cells, result.caption)
         elif is_filled:
             better = "Lower" if result.table.lower_is_better else "Higher"
             caption = f"Ours, the paper's below it. {better} is better. {result.left_out}".strip()
-            terminal_tables.show(result.table.title, terminal_tables.filled_only(cells), caption)
+            render.show(result.table.title, render.filled_only(cells), caption)
         if not is_filled:
             continue
         if (shares := result.shares()) is not None:
-            shown = shares if show_all else terminal_tables.filled_only(shares)
-            terminal_tables.show(table_formats.SHARE, shown)
+            shown = shares if show_all else render.filled_only(shares)
+            render.show(render.SHARE, shown)
         if result.values["seeds"].any():
             drawn[f"table-{result.table.id}"] = figures.draw_bars(result)
     if empty and not show_all:
-        log.info(terminal_tables.notice(f"{empty} tables have nothing of ours yet: all=true shows them."))
+        log.info(notice(f"{empty} tables have nothing of ours yet: all=true shows them."))
     return drawn
 
 
@@ -147,10 +139,10 @@ def _write_tables(
     """
     filled = sorted(filled, key=lambda table: not table.has_runs)
     written = {
-        "tables.md": "\n".join(map(table_formats.markdown, filled))
+        "tables.md": "\n".join(map(render.markdown, filled))
         + sections
         + f"\n## Everything that was run\n\n{everything.to_markdown(index=False)}\n",
-        "tables.tex": "\n".join(map(table_formats.latex, filled)),
+        "tables.tex": "\n".join(map(render.latex, filled)),
         "runs.csv": runs.to_csv(index=False),
         **{f"{result.table.id}.csv": result.values.to_csv(index=False) for result in filled},
     }
@@ -165,9 +157,9 @@ def _show_twins(runs: pd.DataFrame) -> None:
         short = table.columns.str.replace(r"^\S+ (\S+), [^,]*(, \d+ epochs)?.*", r"\1\2", regex=True)
         alone = short.str.replace(r", .*", "", regex=True)  # the epochs of each are told above
         splits = table.set_axis(alone if alone.is_unique else short, axis=1)
-        terminal_tables.show(title, splits)
+        render.show(title, splits)
     if shown:
-        log.info(terminal_tables.notice(CAPTION))
+        log.info(notice(CAPTION))
 
 
 def _sections(tables: Mapping[str, pd.DataFrame], caption: str) -> str:
@@ -193,8 +185,8 @@ def _write_difficulty(
     if lines.empty:
         return {}
     write_atomically(directory / "difficulty.csv", lines.to_csv(index=False).encode())
-    write_atomically(directory / "difficulty.md", difficulty_page.page(lines, scenarios).encode())
-    return dict(difficulty_page.draw(lines, scenarios))
+    write_atomically(directory / "difficulty.md", difficulty.page(lines, scenarios).encode())
+    return dict(difficulty.draw(lines, scenarios))
 
 
 def _stability_distributions(
@@ -219,7 +211,5 @@ def _load(states: States) -> dict[str, np.ndarray] | None:
     """The arrays of a dataset; where it is not there, the log says so."""
     if states.is_finished():
         return states.load()
-    log.info(
-        terminal_tables.notice(f"{states.directory} is not there: the report does without what only the dataset tells.")
-    )
+    log.info(notice(f"{states.directory} is not there: the report does without what only the dataset tells."))
     return None

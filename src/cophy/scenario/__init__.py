@@ -18,12 +18,10 @@ from cophy.scenario.balls import Balls
 from cophy.scenario.blocktower import Blocktower
 from cophy.scenario.collision import Collision
 from cophy.scenario.confounders import ConfounderGrid, Confounders
-from cophy.scenario.do_operations import Displace, Remove
-from cophy.scenario.experiment import Experiment
-from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
-from cophy.scenario.physics.simulation_settings import Clock, Solver
-from cophy.scenario.physics.simulator import Simulator
+from cophy.scenario.experiment import Displace, Experiment, Remove
+from cophy.scenario.physics import Body, Clock, Scene, Shape, Solver, Trajectory
 from cophy.scenario.scenario import Camera, Scenario, Task
+from cophy.scenario.simulator import Simulator
 
 __all__ = [
     "Balls",

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cophy.scenario.do_operations import Displace, DoOperation, Remove
-from cophy.scenario.physics.energy import largest_gain
-from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
-from cophy.scenario.physics.surroundings import floor, walls
-from cophy.scenario.search.simulated import TRIES, SimulatedSearch, no_room
-from cophy.scenario.symmetry import square
+from cophy.scenario.experiment import Displace, DoOperation, Remove
+from cophy.scenario.physics import Body, Scene, Shape, Trajectory, floor, largest_gain, walls
+from cophy.scenario.scenario import square
+from cophy.scenario.search import TRIES, SimulatedSearch, no_room
 
 
 @dataclass

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cophy.errors import CophyError
+from cophy.scenario.assignment import Assignment, half_of_problems
 from cophy.scenario.experiment import TwinPair
-from cophy.scenario.physics.scene import Scene, Shape, Trajectory, trajectory_distance
-from cophy.scenario.physics.simulator import Simulator
-from cophy.scenario.physics.statics import TowerStatics
-from cophy.scenario.scenario import Scenario
-from cophy.scenario.search.assignment import Assignment
-from cophy.scenario.search.held_out import half_of_problems
-from cophy.scenario.search.tower_search import TowerSearch
-from cophy.scenario.search.towers import TOWER_BLOCKS, TOWER_CELLS
-from cophy.scenario.symmetry import TURNS, disc, square
+from cophy.scenario.physics import Scene, Shape, Trajectory, trajectory_distance
+from cophy.scenario.scenario import TURNS, Scenario, disc, square
+from cophy.scenario.simulator import Simulator
+from cophy.scenario.statics import TowerStatics
+from cophy.scenario.towers import TOWER_BLOCKS, TOWER_CELLS, TowerSearch
 
 
 @dataclass

@@ -4,12 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cophy.scenario.do_operations import Displace, DoOperation
-from cophy.scenario.physics.energy import largest_gain
-from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
-from cophy.scenario.physics.surroundings import floor
-from cophy.scenario.search.simulated import TRIES, SimulatedSearch, no_room
-from cophy.scenario.symmetry import square
+from cophy.scenario.experiment import Displace, DoOperation
+from cophy.scenario.physics import Body, Scene, Shape, Trajectory, floor, largest_gain
+from cophy.scenario.scenario import square
+from cophy.scenario.search import TRIES, SimulatedSearch, no_room
 
 # (moving, static): shapes of the two objects, one cell each
 CELLS = tuple(

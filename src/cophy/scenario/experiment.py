@@ -1,10 +1,45 @@
-"""An experiment: observed sequence AB and counterfactual sequence CD under the same confounders (paper Sec. 3)."""
+"""Do-operations (paper Sec. 3): visible changes of the initial scene A that make it C. A itself stays as it is.
+
+An experiment: observed sequence AB and counterfactual sequence CD under the same confounders (paper Sec. 3).
+"""
 
 from dataclasses import dataclass, replace
 
 from cophy.scenario.confounders import Confounders
-from cophy.scenario.do_operations import DoOperation
-from cophy.scenario.physics.scene import Scene, Trajectory
+from cophy.scenario.physics import Scene, Trajectory, Vector
+
+
+@dataclass(frozen=True)
+class Displace:
+    """Move one object.
+
+    kind: the scenario's name for it, one of its `do_operations`. slot: of the object. offset_m: metres, world frame.
+    """
+
+    kind: str
+    slot: int
+    offset_m: Vector
+
+    def apply(self, scene: Scene) -> Scene:
+        """The scene with the object moved."""
+        body = next(body for body in scene.objects if body.slot == self.slot)
+        x, y, z = (p + d for p, d in zip(body.position, self.offset_m, strict=True))
+        return scene.with_object(replace(body, position=(x, y, z)))
+
+
+@dataclass(frozen=True)
+class Remove:
+    """Take one object away. kind: the scenario's name for it, one of its `do_operations`. slot: of the object."""
+
+    kind: str
+    slot: int
+
+    def apply(self, scene: Scene) -> Scene:
+        """The scene without the object."""
+        return scene.without_object(self.slot)
+
+
+DoOperation = Displace | Remove
 
 
 @dataclass(frozen=True)

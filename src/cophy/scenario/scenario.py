@@ -1,4 +1,7 @@
-"""What every scenario has: the fields of the files in conf/scenario, and how a twin pair is made."""
+"""Symmetries of the plane that a scenario's physics, surroundings and distributions may have.
+
+What every scenario has: the fields of the files in conf/scenario, and how a twin pair is made.
+"""
 
 import math
 import re
@@ -8,15 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cophy.errors import CophyError, check_name
+from cophy.scenario.assignment import Assignment, assign
+from cophy.scenario.camera import Camera
 from cophy.scenario.confounders import ConfounderGrid
 from cophy.scenario.experiment import Experiment, TwinPair, with_confounders
-from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory
-from cophy.scenario.physics.simulation_settings import Clock, Solver
-from cophy.scenario.physics.simulator import Simulator
-from cophy.scenario.physics.statics import TowerStatics
-from cophy.scenario.physics.surroundings import floor
-from cophy.scenario.rendering.camera import Camera
-from cophy.scenario.search.assignment import Assignment, assign
+from cophy.scenario.physics import Body, Clock, Scene, Shape, Solver, Trajectory, floor
+from cophy.scenario.simulator import Simulator
+from cophy.scenario.statics import TowerStatics
 
 HEX_COLOR = re.compile("#[0-9a-fA-F]{6}")
 
@@ -246,3 +247,22 @@ class Scenario(ABC):
     def under(self, configuration: int, scene: Scene) -> Scene:
         """The scene A under a configuration of confounders."""
         return with_confounders(scene, self.confounders.decode(configuration, len(scene.objects)))
+
+
+MIRROR_Y = np.diag([1, -1])
+TURNS = 64  # ours: by 5.6° each; a multiple of 4, so that the symmetries of a square are among them
+QUARTER_TURN = np.array([[0, -1], [1, 0]])
+
+
+def disc(turns: int) -> np.ndarray:
+    """(2 · turns, 2, 2) rotations by all multiples of 360° / turns, each without and with a reflection."""
+    angles = 2 * np.pi * np.arange(turns) / turns
+    cos, sin = np.cos(angles), np.sin(angles)
+    rotations = np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)
+    return np.concatenate([rotations, rotations @ MIRROR_Y])
+
+
+def square() -> np.ndarray:
+    """(8, 2, 2) the rotations and reflections of a square."""
+    turns = [np.linalg.matrix_power(QUARTER_TURN, n) for n in range(4)]
+    return np.stack([*turns, *(turn @ MIRROR_Y for turn in turns)])

@@ -1,8 +1,20 @@
-"""What a person says of one experiment, checked before anything is stored."""
+"""One SQLite file with participants, answers and clicks.
+
+What a person says of one experiment, checked before anything is stored.
+The tables of a file of answers, and whether a file is one: docs/study.md explains them.
+"""
 
 import math
+import sqlite3
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+from cophy.atomic_files import check_space
+from cophy.errors import CophyError
 
 INPUTS = ("mouse", "touch", "keyboard", "pen", "none")
 MAX_UNDONE = 1000
@@ -82,3 +94,133 @@ def _number(value: Any, smallest: float, largest: float, *, whole: bool = False)
     if not smallest <= value <= largest or not math.isfinite(value):
         raise BadAnswerError("a number out of its range")
     return float(value)
+
+
+ANSWERS, SIMULATED = "answers.sqlite", "simulated.sqlite"  # names of files: of people, and of simulated participants
+SCHEMA_VERSION = 1
+SCHEMA = """
+CREATE TABLE studies (
+    study TEXT PRIMARY KEY, description TEXT NOT NULL
+) STRICT;
+CREATE TABLE participants (
+    id INTEGER PRIMARY KEY, study TEXT NOT NULL REFERENCES studies, kind TEXT NOT NULL, number INTEGER NOT NULL,
+    token_hash TEXT NOT NULL UNIQUE, platform_hash TEXT, code TEXT NOT NULL UNIQUE,
+    consented_at REAL NOT NULL, finished_at REAL,
+    UNIQUE (study, kind, number), UNIQUE (study, kind, platform_hash)
+) STRICT;
+CREATE TABLE answers (
+    participant INTEGER NOT NULL REFERENCES participants, position INTEGER NOT NULL, practice INTEGER NOT NULL,
+    experiment INTEGER NOT NULL, setting TEXT NOT NULL, opened_at REAL NOT NULL, begun_at REAL, answered_at REAL,
+    late INTEGER NOT NULL DEFAULT 0, undone INTEGER, names_shown INTEGER, input TEXT,
+    window_width INTEGER, window_height INTEGER, digest TEXT,
+    PRIMARY KEY (participant, position)
+) STRICT;
+CREATE TABLE clicks (
+    participant INTEGER NOT NULL, position INTEGER NOT NULL, slot INTEGER NOT NULL, x REAL, y REAL, at_ms INTEGER,
+    PRIMARY KEY (participant, position, slot), FOREIGN KEY (participant, position) REFERENCES answers
+) STRICT;
+"""
+# what the tables of a file are; SQLite checks the types of a strict one
+TABLES = """
+SELECT t.name, t.type, t.strict, c.name, c.type FROM pragma_table_list t JOIN pragma_table_info(t.name) c
+"""
+
+
+def damaged(path: Path, why: object) -> CophyError:
+    """The error of a file that cannot be used."""
+    said = f"{path} is no file of answers, or damaged ({' '.join(str(why).split())})"
+    return CophyError(f"{said}: move it away, or put a sound copy in its place")
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """What SQLite cannot do inside is said with the name of the file.
+
+    Raises:
+        CophyError: The file is none of answers, damaged, or in use.
+        OSError: The disk is full.
+    """
+    if path.exists() and not path.is_file():
+        raise damaged(path, "it is no plain file")
+    try:
+        yield
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the second where it names what is no text
+        check_space(path)
+        if "locked" in str(error):
+            raise CophyError(f"{path} is in use by another program: end that, or try again") from error
+        raise damaged(path, error) from error
+
+
+def check(connection: sqlite3.Connection, path: Path) -> None:
+    """Nothing is read from a file, or written to it, that is not sound, or whose tables are others.
+
+    Raises:
+        CophyError: It is such a one.
+        sqlite3.Error: Likewise.
+    """
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if version not in (0, SCHEMA_VERSION):
+        raise CophyError(f"{path} is of schema {version}, this program writes {SCHEMA_VERSION}: name another folder")
+    with closing(sqlite3.connect(":memory:")) as ours:
+        ours.executescript(SCHEMA)
+        missing = set(ours.execute(TABLES)) - {tuple(row) for row in connection.execute(TABLES)}
+    if missing:
+        raise damaged(path, f"its table {min(missing)[0]} is not as study.py makes it")
+    (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if found != "ok":
+        raise damaged(path, found)
+
+
+def remove_journal(path: Path) -> None:
+    """Of a file that is about to be replaced: SQLite would take it for the new one's."""
+    for suffix in ("-wal", "-shm"):
+        path.with_name(f"{path.name}{suffix}").unlink(missing_ok=True)
+
+
+PERSON = "person"  # the kind of all who are not simulated
+
+
+class AnswerStore:
+    """The file, opened for the one process that writes to it. Its connection is shared by threads, one at a time."""
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._lock = threading.RLock()
+        with naming(path):
+            self._connection = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=30)
+            try:
+                self._begin(path)
+            except BaseException:
+                self._connection.close()
+                raise
+
+    def _begin(self, path: Path) -> None:
+        self._connection.row_factory = sqlite3.Row
+        (num_tables,) = self._connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()
+        if num_tables > 0:
+            check(self._connection, path)
+        for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+            self._connection.execute(f"PRAGMA {pragma}")
+        if num_tables == 0:
+            with self.transaction() as connection:
+                for statement in SCHEMA.split(";\n"):
+                    connection.execute(statement)
+                connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """All that is written inside is on disk afterwards, or none of it."""
+        with self._lock:
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:  # a full disk may have ended it
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            self._connection.close()

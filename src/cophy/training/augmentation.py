@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from cophy.dataset.feed.batch_order import ALONE, Share
+from cophy.dataset.datamodules import ALONE, Share
 from cophy.scenario import Scenario
 from cophy.training.settings import Augmentation
 from cophy.types import HORIZONTAL, POSE_ANGLES, Batch

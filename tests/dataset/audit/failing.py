@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from cophy.dataset.audit import Check
+from cophy.audit.checks import Check
 
 
 def failing(checks: Iterable[Check]) -> set[str]:

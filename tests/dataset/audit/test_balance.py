@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cophy.dataset.audit.balance import shapes, shares
+from cophy.audit.data import shapes, shares
 from tests.dataset.audit.failing import failing
 
 

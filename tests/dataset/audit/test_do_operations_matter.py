@@ -2,7 +2,7 @@
 
 import pytest
 
-from cophy.dataset.audit.do_operations_matter import do_operations_matter, matters
+from cophy.audit.data import do_operations_matter, matters
 from tests.dataset.audit.failing import failing
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cophy.dataset.audit.first_frames import SAME_TOLERANCE_M, geometries
+from cophy.audit.data import SAME_TOLERANCE_M, geometries
 from tests.dataset.audit.failing import failing
 
 

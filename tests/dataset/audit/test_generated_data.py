@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cophy.dataset.audit import audit_generated
+from cophy.audit.report import audit_generated
 from tests.dataset.audit.failing import failing
 
 # of towers a pair takes 900 simulations under other confounders

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cophy.dataset.audit.rigid_bodies import states
+from cophy.audit.data import states
 from tests.dataset.audit.failing import failing
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cophy.dataset.audit.tower_outcomes import towers
+from cophy.audit.data import towers
 from tests.dataset.audit.failing import failing
 
 

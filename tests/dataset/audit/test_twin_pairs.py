@@ -5,9 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from cophy.dataset.audit.first_frames import slots_in_order
-from cophy.dataset.audit.rigid_bodies import states
-from cophy.dataset.audit.twin_pairs import twins
+from cophy.audit.data import slots_in_order, states, twins
 from tests.dataset.audit.failing import failing
 
 

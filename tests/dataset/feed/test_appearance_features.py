@@ -6,9 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from cophy.dataset.feed.appearance_features import object_types, poses, with_appearance
-from cophy.dataset.feed.batches import to_batch
-from cophy.dataset.feed.declared_inputs import DeclaredInputs
+from cophy.dataset.features import DeclaredInputs, object_types, poses, to_batch, with_appearance
 from cophy.scenario import Shape
 from cophy.types import OBJECT_TYPES, POSE
 from tests.dataset.released.indexing import LISTS, load

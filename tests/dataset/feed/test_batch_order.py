@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.utils.data import TensorDataset
 
-from cophy.dataset.feed.batch_order import ALONE, EpochBatches, Share, in_order, shuffled
+from cophy.dataset.datamodules import ALONE, EpochBatches, Share, in_order, shuffled
 from cophy.errors import CophyError
 
 ITEMS = TensorDataset(torch.arange(22))

@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from cophy.app.composition import settings
-from cophy.dataset.feed.batches import to_batch, with_estimates
+from cophy.config import settings
+from cophy.dataset.features import to_batch, with_estimates
 from cophy.types import Batch
 
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from cophy.dataset.feed.confounder_features import confounder_features, confounder_statistics, standardised
+from cophy.dataset.features import confounder_features, confounder_statistics, standardised
 from cophy.types import CONFOUNDERS, HORIZONTAL
 
 

@@ -5,14 +5,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from cophy.app.composition import settings
+from cophy.config import settings
 from cophy.dataset import generation
-from cophy.dataset.feed.batches import to_batch
-from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
-from cophy.dataset.feed.declared_inputs import DeclaredInputs
-from cophy.dataset.pictures.estimates import Estimates
+from cophy.dataset.datamodules import CounterfactualDataModule
+from cophy.dataset.estimates import Estimates
+from cophy.dataset.features import DeclaredInputs, to_batch
 from cophy.dataset.splits import SPLITS
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.types import CONFOUNDERS, map_tensors
 from tests.conftest import tiny_spec

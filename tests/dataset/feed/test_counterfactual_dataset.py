@@ -2,8 +2,8 @@
 
 import torch
 
-from cophy.dataset.feed.batches import to_batch
-from cophy.dataset.feed.counterfactual_dataset import CounterfactualDataset
+from cophy.dataset.datamodules import CounterfactualDataset
+from cophy.dataset.features import to_batch
 
 
 def test_a_loader_visits_every_experiment_once(tiny) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from cophy.dataset.feed.declared_inputs import DeclaredInputs
+from cophy.dataset.features import DeclaredInputs
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.dataset.feed.frame_datamodule import FrameDataModule
-from cophy.dataset.store.states import States
+from cophy.dataset.frames import FrameDataModule
+from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.scenario.rendering.frames import Backend, RenderSettings
+from cophy.scenario.rendering import Backend, RenderSettings
 from tests.conftest import tiny_spec
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from cophy.dataset.pictures.images import Images
+from cophy.dataset.images import Images
 from tests.dataset.pictures.rendered import images
 
 

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from cophy.dataset.pictures.images import Images
-from cophy.dataset.store.states import States
-from cophy.scenario.rendering.frames import MODALITIES, Backend, RenderSettings
+from cophy.dataset.images import Images
+from cophy.dataset.states import States
+from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
 from tests.dataset.copies import SPEC
 
 RENDER = RenderSettings(list(MODALITIES), 16, Backend.tiny)

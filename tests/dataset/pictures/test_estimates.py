@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from cophy.dataset import generation
-from cophy.dataset.pictures.estimates import Estimates
-from cophy.dataset.pictures.images import Images
-from cophy.dataset.pictures.needed_frames import TEST_INPUTS
+from cophy.dataset.estimates import Estimates
+from cophy.dataset.experiment_set import TEST_INPUTS
+from cophy.dataset.images import Images
 from cophy.errors import CophyError
 from tests.dataset.pictures.guess import Guess
 from tests.dataset.pictures.rendered import RENDER, copy_images

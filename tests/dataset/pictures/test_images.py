@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 
 from cophy.dataset import generation
-from cophy.dataset.feed.frame_dataset import FrameDataset
-from cophy.dataset.pictures.images import Images, bounding_boxes
-from cophy.drawing.close_up import render_sequence
+from cophy.dataset.frames import FrameDataset
+from cophy.dataset.images import Images, bounding_boxes
+from cophy.drawing.sheets import render_sequence
 from cophy.errors import CophyError
-from cophy.scenario.rendering.frames import MODALITIES, NO_OBJECT, Backend, Frames
-from cophy.scenario.rendering.renderer import Renderer
+from cophy.scenario.rendering import MODALITIES, NO_OBJECT, Backend, Frames, Renderer
 from tests.conftest import ROOT
 from tests.dataset.copies import SPEC, digests
 from tests.dataset.pictures.rendered import RENDER, copy_images, images

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from cophy.dataset import generation
-from cophy.dataset.feed.frame_datamodule import FrameDataModule
-from cophy.dataset.pictures.estimates import Estimates
-from cophy.dataset.pictures.images import Images
-from cophy.dataset.pictures.needed_frames import ALL, FRAMES, INPUTS, TEST_INPUTS, ChosenFrames, NeededFrames
+from cophy.dataset.estimates import Estimates
+from cophy.dataset.experiment_set import ALL, FRAMES, INPUTS, TEST_INPUTS, ChosenFrames, NeededFrames
+from cophy.dataset.frames import FrameDataModule
+from cophy.dataset.images import Images
 from cophy.dataset.splits import SPLITS
 from tests.dataset.pictures.rendered import RENDER, copy_images, images
 from tests.dataset.pictures.test_estimates import Guess

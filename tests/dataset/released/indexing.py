@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from cophy.dataset.experiment_set import ExperimentSet
 from cophy.dataset.source import Source
-from cophy.dataset.store.experiment_set import ExperimentSet
 from tests.conftest import settings
 
 LISTS = {"train": ["0", "1"], "val": ["2"], "test": ["3"]}

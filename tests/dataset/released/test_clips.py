@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.dataset.feed.frame_dataset import FrameDataset
-from cophy.dataset.pictures.estimates import Estimates
+from cophy.dataset.estimates import Estimates
+from cophy.dataset.frames import FrameDataset
 from cophy.errors import CophyError
-from cophy.scenario.rendering.frames import Backend, RenderSettings
+from cophy.scenario.rendering import Backend, RenderSettings
 from tests.dataset.released.indexing import LISTS, make, states
 from tests.dataset.released.trees import BALL_COLORS, CoPhyTree, clip, filtered_tree
 

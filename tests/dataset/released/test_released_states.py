@@ -3,7 +3,7 @@
 import pytest
 
 from cophy.dataset import generation
-from cophy.dataset.store.experiment_set import OracleSettings
+from cophy.dataset.experiment_set import OracleSettings
 from cophy.errors import CophyError
 from tests.dataset.released.indexing import states
 from tests.dataset.released.trees import CoPhyTree

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from cophy.dataset import generation
-from cophy.dataset.feed.batches import to_batch
-from cophy.dataset.store.experiment_set import ORACLES, OracleSettings
-from cophy.dataset.store.forecasts import OracleForecasts
-from cophy.dataset.store.states import States
+from cophy.dataset.experiment_set import ORACLES, OracleSettings
+from cophy.dataset.features import to_batch
+from cophy.dataset.states import States
 from cophy.errors import CophyError
+from cophy.oracles.forecasts import OracleForecasts
 from tests.conftest import SCENARIOS, tiny_spec
 
 ASKED = OracleSettings(draws=4, max_configurations=16, noise=0.05, max_experiments=400)

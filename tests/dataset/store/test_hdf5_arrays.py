@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from cophy.dataset.store.hdf5_arrays import DamagedShardError, Field, attribute, creating, encode, reading
+from cophy.dataset.shards import DamagedShardError, Field, attribute, creating, encode, reading
 
 FIELDS = {"mass": Field((2, 4), "<f4"), "cell": Field((2,), "|u1")}
 UNKNOWN = h5py.h5t.UNIX_D32LE  # a type that NumPy does not have

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from cophy.dataset.store.manifest import MANIFEST
-from cophy.dataset.store.states import States
+from cophy.dataset.shards import MANIFEST
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from tests.dataset.copies import SPEC, copy
 

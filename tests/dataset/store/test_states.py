@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.dataset.store.experiment_arrays import experiment_fields
-from cophy.dataset.store.hdf5_arrays import DamagedShardError, encode
-from cophy.dataset.store.states import States
+from cophy.dataset.fields import experiment_fields
+from cophy.dataset.shards import DamagedShardError, encode
+from cophy.dataset.states import States
 from tests.dataset.copies import SPEC
 
 FIELDS = experiment_fields(SPEC, len(SPEC.experiments_of_shard(0)))

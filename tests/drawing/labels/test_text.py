@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from cophy.drawing.labels.color_bar import color_bar
-from cophy.drawing.labels.text import Line, text_block
+from cophy.drawing.labels import Line, color_bar, text_block
 
 
 def test_a_long_line_goes_on_below_and_no_word_is_cut() -> None:

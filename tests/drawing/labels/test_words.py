@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store.states import States
-from cophy.drawing.labels.words import Words
+from cophy.dataset.states import States
+from cophy.drawing.labels import Words
 from tests.conftest import tiny_spec
 
 WAYS = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1)}  # axis and sign: all cameras look along y

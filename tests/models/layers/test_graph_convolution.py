@@ -3,8 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from cophy.models.layers.graph import hear_mean_of_others, hear_sum_of_near, others
-from cophy.models.layers.graph_convolution import GraphConvolution, PairwiseMLP
+from cophy.models.layers import GraphConvolution, PairwiseMLP, hear_mean_of_others, hear_sum_of_near, others
 from tests.models.plain_loop import convolve, edge_function
 
 

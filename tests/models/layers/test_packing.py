@@ -2,7 +2,7 @@
 
 import torch
 
-from cophy.models.layers.packing import pack, unpack
+from cophy.models.layers import pack, unpack
 from cophy.types import Batch, Prediction, take
 from tests.models.networks import random_batch
 

@@ -8,20 +8,15 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from cophy.app.composition import settings
-from cophy.app.datasets import generated_by
-from cophy.app.report_choices import ComposedChoices
+from cophy.config import generated_by, settings
 from cophy.dataset import generation
-from cophy.dataset.store.states import States
-from cophy.report.people.study_answers import StudyAnswers, read_answers
-from cophy.report.people.study_figures import draw_studies
-from cophy.report.people.study_tables import of_people, study_tables
-from cophy.report.tables.filled_tables import fill
-from cophy.report.tables.paper_tables import paper_tables
-from cophy.study.answer_store import AnswerStore
-from cophy.study.answer_tables import SCHEMA
+from cophy.dataset.states import States
+from cophy.report.tables import fill, paper_tables
+from cophy.report_choices import ComposedChoices
+from cophy.study.answers import SCHEMA, AnswerStore
 from cophy.study.experiments import StudyExperiments
-from cophy.study.results.judging import human_rows
+from cophy.study.judging import human_rows
+from cophy.study.report import StudyAnswers, draw_studies, of_people, read_answers, study_tables
 from tests.conftest import tiny_spec
 from tests.study.conftest import SMALL
 

@@ -9,11 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cophy.app.report_choices import ComposedChoices
 from cophy.errors import CophyError
-from cophy.report.runs.comparable import of_largest_size, of_seeds
-from cophy.report.runs.run_table import read_runs, summary
-from cophy.report.runs.stored_run import MAX_BYTES
+from cophy.report.runs import MAX_BYTES, of_largest_size, of_seeds, read_runs, summary
+from cophy.report_choices import ComposedChoices
 from tests.report.lines import measured, run
 from tests.report.stored_runs import CONFIG, PLACE, content, leave
 

@@ -3,10 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from cophy.report.tables.filled_tables import fill
-from cophy.report.tables.paper_tables import paper_tables
-from cophy.report.tables.shares import Errors
-from cophy.report.tables.table_formats import markdown
+from cophy.report.render import markdown
+from cophy.report.tables import Errors, fill, paper_tables
 from tests.report.lines import measured, run
 
 TABLES = {table.id: table for table in paper_tables()}

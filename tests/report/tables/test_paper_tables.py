@@ -1,6 +1,6 @@
 """The tables of the paper."""
 
-from cophy.report.tables.paper_tables import paper_tables
+from cophy.report.tables import paper_tables
 
 
 def test_tables_are_rectangular_and_their_bounds_exist() -> None:

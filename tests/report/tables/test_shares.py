@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 import torch
 
-from cophy.report.tables.shares import Errors, share_of_gain, stored_errors
-from cophy.training.measures.metrics import mean_squared_error
-from cophy.training.runs.results import write_predictions
+from cophy.report.tables import Errors, share_of_gain, stored_errors
+from cophy.training.metrics import mean_squared_error
+from cophy.training.run import write_predictions
 from cophy.types import Batch, Prediction
 
 

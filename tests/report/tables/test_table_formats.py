@@ -3,9 +3,8 @@
 import pandas as pd
 import pytest
 
-from cophy.report.tables.filled_tables import fill
-from cophy.report.tables.paper_tables import paper_tables
-from cophy.report.tables.table_formats import latex, markdown
+from cophy.report.render import latex, markdown
+from cophy.report.tables import fill, paper_tables
 from tests.report.lines import measured
 
 TABLES = {table.id: table for table in paper_tables()}

@@ -5,10 +5,10 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from cophy.report.runs.run_overview import overviews
-from cophy.report.tables.filled_tables import fill
-from cophy.report.tables.paper_tables import paper_tables
-from cophy.report.tables.terminal_tables import BOLD, filled_only, notice, show
+from cophy.report.overview import overviews
+from cophy.report.render import BOLD, filled_only, show
+from cophy.report.runs import notice
+from cophy.report.tables import fill, paper_tables
 from tests.report.lines import measured, run
 
 TABLES = {table.id: table for table in paper_tables()}

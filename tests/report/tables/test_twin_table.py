@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from cophy.report.tables.twin_table import twin_tables
+from cophy.report.overview import twin_tables
 from tests.report.lines import measured, run
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from cophy.dataset.replay import do_operation_of, scene_of
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
+from cophy.oracles.priors import configuration_prior
 from cophy.scenario import Blocktower, Scene
-from cophy.scenario.oracles.configuration_prior import configuration_prior
-from cophy.scenario.physics.statics import Combinations
-from cophy.scenario.search.towers import tower_of
+from cophy.scenario.statics import Combinations
+from cophy.scenario.towers import tower_of
 from tests.conftest import tiny_spec
 
 

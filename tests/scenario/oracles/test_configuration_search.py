@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from cophy.oracles.posterior import ConfigurationSearch
 from cophy.scenario import Scenario, Scene, Simulator
-from cophy.scenario.oracles.configuration_search import ConfigurationSearch
 
 NOISE = 0.05
 TEXT = [

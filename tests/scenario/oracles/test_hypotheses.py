@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from cophy.oracles.posterior import Hypotheses
 from cophy.scenario import Trajectory
-from cophy.scenario.oracles.hypotheses import Hypotheses
 
 
 def trajectory(x: float) -> Trajectory:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from cophy.oracles.priors import velocity_inference
 from cophy.scenario import Body, Scene, Shape, Simulator
-from cophy.scenario.oracles.initial_velocities import velocity_inference
-from cophy.scenario.physics.surroundings import floor
+from cophy.scenario.physics import floor
 
 
 def scene_of_two(scenario, friction: float) -> Scene:

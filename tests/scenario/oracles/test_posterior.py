@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cophy.oracles.posterior import Hypotheses, posterior, resample
 from cophy.scenario import Experiment, Scenario, Simulator
-from cophy.scenario.oracles.hypotheses import Hypotheses
-from cophy.scenario.oracles.posterior import posterior
-from cophy.scenario.oracles.resampling import resample
-from cophy.scenario.physics.remembering_simulator import RememberingSimulator
+from cophy.scenario.simulator import RememberingSimulator
 
 ASKED = {"draws": 4, "max_configurations": 300, "noise": 0.05}
 

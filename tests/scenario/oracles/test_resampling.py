@@ -7,10 +7,10 @@ import pytest
 
 from cophy.dataset.replay import do_operation_of, scene_of
 from cophy.errors import CophyError
+from cophy.oracles import posterior
+from cophy.oracles.posterior import resample
 from cophy.scenario import Simulator
-from cophy.scenario.oracles import resampling
-from cophy.scenario.oracles.resampling import resample
-from cophy.scenario.physics.remembering_simulator import RememberingSimulator
+from cophy.scenario.simulator import RememberingSimulator
 
 
 def asked(tiny, row: int = 0) -> tuple:
@@ -89,7 +89,7 @@ def test_rare_twins_are_searched_for_as_long_as_one_more_is_found_in_time(
         def rarely(self, scenes, simulator, observed=None):
             return kept if observed is not None or next(tries) % fits == 0 else None
 
-        monkeypatch.setattr(resampling, "MAX_TRIES", 10)
+        monkeypatch.setattr(posterior, "MAX_TRIES", 10)
         monkeypatch.setattr(type(scenario), "different_outcomes", rarely)
         drawing = {"draws": 8, "rng": np.random.default_rng(0), "simulator": simulator}
         if is_found:

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from cophy.errors import CophyError
+from cophy.oracles.posterior import posterior, resample
 from cophy.scenario import Scenario, Simulator
-from cophy.scenario.do_operations import Displace
-from cophy.scenario.oracles.posterior import posterior
-from cophy.scenario.oracles.resampling import resample
-from cophy.scenario.search.simulated import SimulatedSearch
+from cophy.scenario.experiment import Displace
+from cophy.scenario.search import SimulatedSearch
 
 
 class Marbles(SimulatedSearch):

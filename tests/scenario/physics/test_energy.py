@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cophy.scenario import Scenario, Simulator
-from cophy.scenario.physics.energy import energy, largest_gain
-from cophy.scenario.physics.scene import Body, Scene, Shape, Trajectory, Vector
+from cophy.scenario.physics import Body, Scene, Shape, Trajectory, Vector, energy, largest_gain
 from tests.conftest import SCENARIOS, tiny_spec
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cophy.scenario.physics.orientation import x_axis, z_axis
+from cophy.scenario.physics import x_axis, z_axis
 
 
 def test_axes_are_those_of_the_rotation() -> None:

@@ -1,7 +1,7 @@
 import numpy as np
 
-from cophy.scenario.physics import remembering_simulator
-from cophy.scenario.physics.remembering_simulator import RememberingSimulator
+from cophy.scenario import simulator as simulator_module
+from cophy.scenario.simulator import RememberingSimulator
 
 
 def test_a_scene_is_simulated_once_until_it_is_forgotten(scenario_of) -> None:
@@ -21,7 +21,7 @@ def test_a_scene_is_simulated_once_until_it_is_forgotten(scenario_of) -> None:
 def test_the_oldest_is_forgotten_where_there_are_too_many(scenario_of, monkeypatch) -> None:
     scenario = scenario_of("collision")
     scene = scenario.sample_scene(0, (0, 1), np.random.default_rng(0))
-    monkeypatch.setattr(remembering_simulator, "MOST", 2)
+    monkeypatch.setattr(simulator_module, "MOST", 2)
     with RememberingSimulator() as simulator:
         first, second, third = (scenario.simulate(simulator, scenario.under(each, scene)) for each in (0, 1, 2))
         assert scenario.simulate(simulator, scenario.under(1, scene)) is second

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cophy.scenario import Body, Scene, Shape
-from cophy.scenario.physics.surroundings import floor
+from cophy.scenario.physics import floor
 
 
 def test_a_movable_body_needs_a_mass() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from cophy.errors import CophyError
 from cophy.scenario import Body, Clock, Scene, Shape, Simulator, Solver, Trajectory
-from cophy.scenario.physics.surroundings import floor, walls
+from cophy.scenario.physics import floor, walls
 
 CLOCK = Clock(num_frames=30, frame_rate_hz=5, state_rate_hz=20)
 IMPACTS = Solver(step_rate_hz=240, iterations=50, elastic_impacts=True)  # as balls and collision
@@ -162,6 +162,8 @@ def test_without_pybullet_generation_stops_with_one_clear_line(monkeypatch: pyte
 
 
 def test_pybullet_is_imported_without_its_banner() -> None:
-    code = "import sys; from cophy.scenario.physics.simulator import import_pybullet as f; f(); f(); print('!', file=sys.stderr)"
+    code = (
+        "import sys; from cophy.scenario.simulator import import_pybullet as f; f(); f(); print('!', file=sys.stderr)"
+    )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (found.stdout, found.stderr) == ("", "!\n")

@@ -6,7 +6,7 @@ import pytest
 from cophy.scenario import Blocktower, Simulator
 from cophy.scenario.confounders import Confounders
 from cophy.scenario.experiment import with_confounders
-from cophy.scenario.physics.statics import Combinations, joint_margins
+from cophy.scenario.statics import Combinations, joint_margins
 
 LEVEL = np.zeros((1, 2))
 

@@ -1,6 +1,6 @@
 import pytest
 
-from cophy.scenario.rendering.frames import Backend, RenderSettings
+from cophy.scenario.rendering import Backend, RenderSettings
 
 
 def test_settings_are_checked() -> None:

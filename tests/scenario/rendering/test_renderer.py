@@ -9,8 +9,7 @@ import pytest
 from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
 from cophy.scenario import Camera, Scenario, Shape
-from cophy.scenario.rendering.frames import NO_OBJECT, Backend, Frames
-from cophy.scenario.rendering.renderer import Renderer
+from cophy.scenario.rendering import NO_OBJECT, Backend, Frames, Renderer
 
 RESOLUTION = 224
 

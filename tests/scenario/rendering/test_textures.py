@@ -1,6 +1,6 @@
 import numpy as np
 
-from cophy.scenario.rendering.textures import backdrop, floor_texture
+from cophy.scenario.rendering import backdrop, floor_texture
 
 
 def test_floors_of_different_seeds_differ() -> None:

@@ -3,7 +3,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from cophy.scenario.search.assignment import assign
+from cophy.scenario.assignment import assign
 
 SEEN = np.random.default_rng(0).permutation(576) < 288
 ONE_BLOCK = {

@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
+from cophy.scenario.assignment import half_of_problems, problems
 from cophy.scenario.confounders import ConfounderGrid
-from cophy.scenario.search.held_out import half_of_problems, problems
-from cophy.scenario.symmetry import square
+from cophy.scenario.scenario import square
 
 TOWERS = ConfounderGrid(
     mass=[1, 10], friction=[0.5, 1], restitution=[0], gravity_x=[-1, 0, 1], gravity_y=[-1, 0, 1]

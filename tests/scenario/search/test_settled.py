@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cophy.scenario.physics.statics import Combinations
-from cophy.scenario.search.settled import settled
+from cophy.scenario.statics import Combinations
+from cophy.scenario.towers import settled
 
 # masses of two blocks, 1 or 10 each, under upright gravity, then under tilted gravity
 MASS = np.array([[1, 1], [1, 10], [10, 1], [10, 10]] * 2, dtype=float)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.scenario import Simulator
 from tests.conftest import SCENARIOS, tiny_spec
 

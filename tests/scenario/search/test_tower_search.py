@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from cophy.scenario import Blocktower, Scenario
-from cophy.scenario.physics.statics import Combinations
-from cophy.scenario.search.settled import settled
-from cophy.scenario.search.towers import TOWER_CELLS, TowerCell, tower_of
+from cophy.scenario.statics import Combinations
+from cophy.scenario.towers import TOWER_CELLS, TowerCell, settled, tower_of
 
 KINDS = ["displace_x", "displace_y", "remove_top"]
 

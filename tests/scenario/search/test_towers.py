@@ -1,6 +1,6 @@
 import numpy as np
 
-from cophy.scenario.search.towers import TOWER_BLOCKS, TOWER_CELLS, TowerCell, Towers, tower_of
+from cophy.scenario.towers import TOWER_BLOCKS, TOWER_CELLS, TowerCell, Towers, tower_of
 
 LEANING = Towers(np.array([[[0.0, 0.0], [0.3, -0.1], [0.2, 0.4]]]), np.array([[0.1, 0.7, 1.2]]))
 

@@ -11,10 +11,10 @@ import pytest
 import uvicorn
 from playwright.sync_api import Page, ViewportSize, sync_playwright
 
-from cophy.app.composition import settings
-from cophy.dataset.store.states import States
-from cophy.study.answer_store import PERSON, AnswerStore
-from cophy.study.pages.serving import open_study
+from cophy.config import settings
+from cophy.dataset.states import States
+from cophy.study.answers import PERSON, AnswerStore
+from cophy.study.server import open_study
 from tests.conftest import tiny_spec
 from tests.study.conftest import GENEROUS, SMALL, Site
 

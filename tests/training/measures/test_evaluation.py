@@ -6,7 +6,7 @@ import torch
 
 from cophy.bootstrap import mean
 from cophy.errors import CophyError
-from cophy.training.measures.evaluation import evaluate
+from cophy.training.evaluation import evaluate
 from cophy.types import Batch, Prediction
 
 

@@ -7,13 +7,7 @@ import torch
 
 from cophy.scenario import Camera, Task
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
-from cophy.training.measures.metrics import (
-    collection,
-    mean_squared_error,
-    pixel_measures,
-    position_measures,
-    stability_measures,
-)
+from cophy.training.metrics import collection, mean_squared_error, pixel_measures, position_measures, stability_measures
 from cophy.types import Prediction, Targets, take
 
 INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from cophy.training.measures.probe import Probed, probe, warn_if_constant
+from cophy.training.probe import Probed, probe, warn_if_constant
 from cophy.types import Targets
 
 

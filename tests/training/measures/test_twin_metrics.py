@@ -8,14 +8,8 @@ import torch
 
 from cophy.bootstrap import mean
 from cophy.models.baselines import CopyB, CopyC
-from cophy.training.measures.evaluation import evaluate
-from cophy.training.measures.twin_metrics import (
-    have_twins,
-    right_twin_chosen,
-    twin_collection,
-    twin_difference,
-    twin_of,
-)
+from cophy.training.evaluation import evaluate
+from cophy.training.metrics import have_twins, right_twin_chosen, twin_collection, twin_difference, twin_of
 from cophy.types import Batch, Prediction, Targets, take
 from tests.models.networks import build, random_batch
 

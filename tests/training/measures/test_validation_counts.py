@@ -2,7 +2,7 @@
 
 import torch
 
-from cophy.training.measures.validation_counts import MeanOfEachCell, StandingConfusion
+from cophy.training.metrics import MeanOfEachCell, StandingConfusion
 from cophy.types import Prediction, take
 from tests.models.networks import random_batch
 

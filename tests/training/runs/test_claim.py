@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from cophy.errors import CophyError
-from cophy.training.runs.claim import claimed
-from cophy.training.runs.identity import FAILURE, Run
-from cophy.training.runs.results import Measured, write_metrics
+from cophy.training.run import FAILURE, Measured, Run, claimed, write_metrics
 
 
 @pytest.fixture

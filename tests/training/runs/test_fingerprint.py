@@ -6,15 +6,15 @@ from typing import Any
 
 import pytest
 
-from cophy.app.composition import composed, settings, to_plain
-from cophy.dataset.feed.counterfactual_datamodule import CounterfactualDataModule
+from cophy.config import composed, settings, to_plain
+from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.models.baselines import CopyC
-from cophy.training.runs import reuse
-from cophy.training.runs.reuse import fingerprint
-from cophy.training.runs.trainer import with_epochs
-from cophy.training.trained.checkpoints import Origin
+from cophy.training import reuse
+from cophy.training.checkpoints import Origin
+from cophy.training.reuse import fingerprint
+from cophy.training.trainer import with_epochs
 
 PARTS = ("model", "training", "scenario", "split", "size", "data_seed", "positions", "num_objects", "render")
 PLAIN = to_plain(composed("train"))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
-from cophy.training.runs.identity import Run, differences, plain_value
+from cophy.training.run import Run, differences, plain_value
 
 
 def run_in(directory: Path) -> Run:

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from cophy.errors import CophyError
-from cophy.training.runs.identity import Run
-from cophy.training.runs.results import (
+from cophy.training.run import (
     Measured,
+    Run,
     forget_results,
     read_predictions,
     write_failure,

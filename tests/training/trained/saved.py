@@ -6,9 +6,8 @@ from typing import Any
 
 import torch
 
-from cophy.app.composition import composed, to_plain
-from cophy.training.trained.checkpoints import Origin
-from cophy.training.trained.network import build_network
+from cophy.config import composed, to_plain
+from cophy.training.checkpoints import Origin, build_network
 
 PARTS = ("training", "scenario", "split", "size", "data_seed", "positions", "num_objects", "render")
 ITSELF: dict[str, Any] = {"name": "tiny", "num_experiments": 4}

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from cophy.errors import CophyError
-from cophy.training.trained.checkpoints import Origin, WholeCheckpoints, read_bytes
+from cophy.training.checkpoints import Origin, WholeCheckpoints, read_bytes
 
 NAMES: dict[str, dict[str, str]] = {"model": {"_target_": "a"}, "scenario": {"name": "b"}, "split": {"name": "c"}}
 ORIGIN = Origin(

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from cophy.app.composition import composed, to_plain
-from cophy.app.schemas.registration import SCENARIOS
+from cophy.config import composed, to_plain
 from cophy.errors import CophyError
-from cophy.training.trained.counterfactual_prediction import Counterfactual, check_pair, predict
-from cophy.training.trained.trained_derenderer import TrainedDerenderer
-from cophy.training.trained.trained_predictor import TrainedPredictor
+from cophy.schemas import SCENARIOS
+from cophy.training.trained import Counterfactual, TrainedDerenderer, TrainedPredictor, check_pair, predict
 from tests.training.trained.saved import model_of, saved, weights_of
 
 SEES = model_of("model=derenderer", "model.resolution=16", "model.width=2", "render.resolution=16")

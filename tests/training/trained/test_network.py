@@ -5,7 +5,7 @@ import torch
 from torch import Tensor, nn
 
 from cophy.errors import CophyError
-from cophy.training.trained.network import build_network, restore_network
+from cophy.training.checkpoints import build_network, restore_network
 from tests.training.trained.saved import model_of
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from cophy.training.trained.plain_values import MAX_VALUES, check_plain
+from cophy.training.checkpoints import MAX_VALUES, check_plain
 
 
 def inside_itself() -> dict[str, Any]:

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from cophy.errors import CophyError
-from cophy.training.trained.checkpoints import Origin, read_bytes, read_checkpoint
-from cophy.training.trained.resuming import check_resumable, check_trained
+from cophy.training.checkpoints import Origin, check_resumable, check_trained, read_bytes, read_checkpoint
 from tests.training.trained.saved import model_of, saved, weights_of
 
 

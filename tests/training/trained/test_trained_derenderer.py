@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cophy.errors import CophyError
-from cophy.training.trained.trained_derenderer import TARGET, TrainedDerenderer, find_derenderer
+from cophy.training.trained import TARGET, TrainedDerenderer, find_derenderer
 from tests.training.trained.saved import NONSENSE, model_of, saved, weights_of
 
 SAYS = r"a\.ckpt is no checkpoint of train\.py, or of another version of cophy \("

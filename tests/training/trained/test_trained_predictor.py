@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 import torch
 
-from cophy.app.composition import composed, to_plain
-from cophy.app.schemas.registration import SCENARIOS
+from cophy.config import composed, to_plain
 from cophy.errors import CophyError
-from cophy.training.trained.trained_predictor import TrainedPredictor
+from cophy.schemas import SCENARIOS
+from cophy.training.trained import TrainedPredictor
 from tests.training.trained.saved import NONSENSE, model_of, saved, weights_of
 
 SAYS = r"a\.ckpt is no checkpoint of train\.py, or of another version of cophy \("
@@ -27,7 +27,7 @@ def test_a_checkpoint_brings_its_network_and_its_scenario(tmp_path: Path) -> Non
     ("changes", "message"),
     [
         ({"_target_": "os.system"}, "only predictors of cophy.models are loaded"),
-        ({"_target_": "cophy.training.trained.derendering.derender"}, "only predictors of cophy.models are loaded"),
+        ({"_target_": "cophy.training.trained.derender"}, "only predictors of cophy.models are loaded"),
         ({"_target_": "cophy.models.derenderer.Derenderer"}, "only predictors of cophy.models are loaded"),
         ({"_target_": "cophy.models.cophynet.torch.hub.load"}, "cannot be imported|is not a torch.nn.Module"),
         ({"confounders": "ground_truth"}, "wants the true confounders"),

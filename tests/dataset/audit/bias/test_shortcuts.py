@@ -5,10 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from cophy.dataset.audit import ClassifierCheck
-from cophy.dataset.audit.bias import visible_features
-from cophy.dataset.audit.bias.classifiers import ask_classifier
-from cophy.dataset.audit.bias.shortcuts import bias
+from cophy.audit.bias import ask_classifier, bias, initial_scene
+from cophy.audit.checks import ClassifierCheck
 from cophy.scenario import Shape
 from tests.conftest import SCENARIOS, tiny_spec
 
@@ -79,7 +77,7 @@ def test_an_overhang_is_found_to_settle_the_outcome() -> None:
         for axis in (0, 1)
     )
     far = np.maximum(np.abs(x[1] - x[0]), np.abs(y[1] - y[0])) > 0.35
-    assert ask_classifier("", visible_features.initial_scene(arrays, 3), far, arrays["twin"]).accuracy > 0.9
+    assert ask_classifier("", initial_scene(arrays, 3), far, arrays["twin"]).accuracy > 0.9
 
 
 @pytest.mark.parametrize("name", ["blocktower", "collision"])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from cophy.dataset.audit.simulated.convergence import convergence
+from cophy.audit.simulated import convergence
 from tests.dataset.audit.failing import failing
 
 

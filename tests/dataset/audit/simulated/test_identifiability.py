@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cophy.dataset.audit.simulated.identifiability import _line, identifiability
+from cophy.audit.simulated import _line, identifiability
+from cophy.dataset.fields import to_arrays
 from cophy.dataset.replay import do_operation_of, scene_of
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.store.experiment_arrays import to_arrays
 from cophy.scenario import Simulator
 from tests.conftest import tiny_spec
 

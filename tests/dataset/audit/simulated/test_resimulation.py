@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from cophy.dataset.audit.first_frames import slots_in_order
-from cophy.dataset.audit.rigid_bodies import states
-from cophy.dataset.audit.simulated.resimulation import simulation
-from cophy.dataset.audit.tower_outcomes import towers
-from cophy.dataset.audit.twin_pairs import twins
+from cophy.audit.data import slots_in_order, states, towers, twins
+from cophy.audit.simulated import simulation
 from tests.dataset.audit.failing import failing
 
 

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from cophy.dataset.pictures import images
-from cophy.dataset.pictures.images import Images
-from cophy.dataset.released.export.exporter import export
-from cophy.dataset.released.untrusted_files import count_frames
+from cophy.dataset import images
+from cophy.dataset.images import Images
 from cophy.dataset.source import Source
-from cophy.dataset.store.states import States
+from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.scenario.rendering.frames import NO_OBJECT, Backend, Frames, RenderSettings
+from cophy.released.export import export
+from cophy.scenario.rendering import NO_OBJECT, Backend, Frames, RenderSettings
+from cophy.untrusted_files import count_frames
 from tests.conftest import SCENARIOS, settings, tiny_spec
 from tests.dataset.released.indexing import make
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cophy.dataset.released.formats.cophy_tasks import kind_of
 from cophy.errors import CophyError
+from cophy.released.formats import kind_of
 from cophy.scenario import Shape
 from tests.conftest import settings
 from tests.dataset.released.indexing import LISTS, load

@@ -1,0 +1,164 @@
+"""What the oracles say of the first test experiments, in shards beside the states: it takes simulations, so it is kept."""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cophy.dataset.experiment_set import ORACLES, ExperimentSet, OracleSettings
+from cophy.dataset.features import stable_frames
+from cophy.dataset.shards import Field, Fields, ShardSet, empty_arrays, encode
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.splits import SPLITS, split_of_experiments
+from cophy.errors import CophyError
+from cophy.oracles.posterior import Hypotheses, posterior, resample
+from cophy.scenario import Scenario, Trajectory
+from cophy.scenario.simulator import RememberingSimulator
+
+VERSION = 2  # raise it when other hypotheses are tried
+USUAL_STABLE_SPEED = 0.1  # m/s, of every scenario (conf/scenario); what is said of another one lies apart
+STORED_PRECISION_M = 1e-4  # positions are stored with less error
+
+
+class OracleForecasts(ShardSet):
+    """By each of ORACLES, for the first experiments of the test split: as many as the settings ask about.
+
+    experiment: (experiment,) their indices in the dataset. <oracle>_position: (experiment, T-1, K, 3), the mean of D, metres.
+    <oracle>_draw_variance: the same shape, the variance that this mean owes to the draws that it is of, m².
+    <oracle>_stable: (experiment, T-1, K), the probability that an object is stable.
+    """
+
+    spec: DatasetSpec
+
+    def __init__(self, states: ExperimentSet, spec: DatasetSpec, settings: OracleSettings) -> None:
+        self.spec, self.states, self.settings = spec, states, settings
+        asked = asdict(settings)
+        self.asked = {name: asked[name] for name in ("draws", "max_configurations", "noise")}
+        if (stable_speed := spec.scenario.task.stable_speed) != USUAL_STABLE_SPEED:
+            self.asked["stable_speed"] = stable_speed
+        if len(self._tested()) > settings.max_experiments:
+            self.asked["max_experiments"] = settings.max_experiments
+        text = json.dumps({"version": VERSION, **self.asked}, sort_keys=True)
+        name = f"oracles-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+        keys = " ".join(f"model.{key}={value}" for key, value in asked.items())
+        command = f"{states.command} model=oracle_feedforward {keys}"  # makes what all oracles say
+        super().__init__(spec, states.directory / name, title=f"oracles of {states.title}", command=command)
+
+    def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
+        """Simulate what could be, for every twin pair of the shard that is tested on."""
+        rows, fields = self._rows(shard), self.fields(shard)
+        arrays, stored = self.states.read(shard), empty_arrays(fields)
+        first = self.spec.experiments_of_shard(shard)[0]
+        stored["experiment"][:] = rows + first
+        with RememberingSimulator() as simulator:
+            for index in range(0, len(rows), 2):
+                simulator.forget()  # twins share scenes, pairs do not
+                observed = self._observed(arrays, rows[index : index + 2])
+                for twin, found in enumerate(self._of_pair(int(first + rows[index]) // 2, observed, simulator)):
+                    for oracle, hypotheses in found.items():
+                        for name, value in forecast_of(hypotheses, self.spec.scenario).items():
+                            stored[f"{oracle}_{name}"][index + twin] = value
+                advance(2)
+        path.write_bytes(encode(stored, fields, self.attributes(shard)))
+        return {"simulations": simulator.num_simulations}
+
+    def num_made(self, shard: int) -> int:
+        return len(self._rows(shard))
+
+    def fields(self, shard: int) -> Fields:
+        scenario, count = self.spec.scenario, len(self._rows(shard))
+        steps = (count, scenario.clock.num_frames - 1, scenario.num_slots)
+        fields = {"experiment": Field((count,), "<i4")}
+        for oracle in ORACLES:
+            fields |= {f"{oracle}_{name}": Field((*steps, 3), "<f4") for name in ("position", "draw_variance")}
+            fields[f"{oracle}_stable"] = Field(steps, "<f4")
+        return fields
+
+    def description(self) -> dict[str, Any]:
+        """What was asked of the oracles."""
+        return {"dataset": self.spec.id, "version": VERSION, **self.asked}
+
+    def _of_pair(
+        self, pair: int, observed: np.ndarray, simulator: RememberingSimulator
+    ) -> Iterator[dict[str, Hypotheses]]:
+        """Of both twins, by oracle. Twins share what depends on nothing but A, C, the do-operation and initial velocities.
+
+        Both are made again, because rounding them to what is stored would change how some towers fall.
+
+        Args:
+            pair: Index of the twin pair in the dataset.
+            observed: (twin, T, K, 3) stored positions in AB, metres.
+            simulator: What could be is simulated with it.
+
+        Raises:
+            CophyError: The stored pair is another one.
+        """
+        scenario, settings = self.spec.scenario, self.settings
+        twins = scenario.twin_pair(self.spec.num_objects, data_seed=self.spec.data_seed, pair=pair, simulator=simulator)
+        for twin, seen in zip(twins, observed, strict=True):
+            self._check_same(twin.observed, seen)
+        scene, do_operation = twins[0].scene, twins[0].do_operation
+
+        def resampled(kind: int, index: int, **known: Any) -> Hypotheses:
+            rng = np.random.default_rng((kind, index))
+            return resample(scenario, scene, do_operation, draws=settings.draws, rng=rng, simulator=simulator, **known)
+
+        alike = resampled(0, pair)
+        at_rest = scene == scene.at_rest()  # then nobody has to be told how A moves
+        moving = alike if at_rest else resampled(1, pair, velocity_known=True)
+        for number, (twin, seen) in enumerate(zip(twins, observed, strict=True)):
+            index = 2 * pair + number
+            rng = np.random.default_rng((3, index))
+            yield {
+                "feedforward": alike,
+                "initial_velocity": moving,
+                "confounders": resampled(2, index, configuration=twin.configuration),
+                "counterfactual": posterior(
+                    scenario,
+                    twin.scene,
+                    do_operation,
+                    seen,
+                    draws=settings.draws,
+                    max_configurations=settings.max_configurations,
+                    noise=settings.noise,
+                    rng=rng,
+                    simulator=simulator,
+                ),
+            }
+
+    def _observed(self, arrays: dict[str, np.ndarray], rows: np.ndarray) -> np.ndarray:
+        """(experiment, T, K, 3) positions in AB, metres."""
+        stride = self.spec.scenario.clock.states_per_frame
+        return np.asarray(arrays["states"][rows, 0, ::stride, :, :3].astype(np.float64))
+
+    def _check_same(self, made: Trajectory, seen: np.ndarray) -> None:
+        if not np.allclose(made.positions[0], seen[0], atol=STORED_PRECISION_M):
+            raise CophyError(
+                f"{self.states.directory} was made by other code: oracles make its test experiments again, and they came "
+                f"out otherwise. Delete it and run `{self.states.command}`"
+            )
+
+    def _tested(self) -> np.ndarray:
+        """Indices of the test experiments in the dataset."""
+        split = split_of_experiments(self.spec.num_experiments, self.spec.data_seed)
+        return np.flatnonzero(split == SPLITS.index("test"))
+
+    def _rows(self, shard: int) -> np.ndarray:
+        """Rows in a shard of what is asked about."""
+        asked, within = self._tested()[: self.settings.max_experiments], self.spec.experiments_of_shard(shard)
+        return asked[(asked >= within[0]) & (asked <= within[-1])] - within[0]
+
+
+def forecast_of(hypotheses: Hypotheses, scenario: Scenario) -> dict[str, np.ndarray]:
+    """The mean of D, the variance that it owes to draws, and the probability of being stable; see `OracleForecasts`."""
+    stride, states = scenario.clock.states_per_frame, hypotheses.states
+    position = states[:, ::stride, :, :3][:, 1:]
+    return {
+        "position": hypotheses.mean(position),
+        "draw_variance": hypotheses.variance_of_mean(position),
+        "stable": hypotheses.mean(stable_frames(states, stride, scenario.task.stable_speed)),
+    }

@@ -1,0 +1,244 @@
+"""MSE by difficulty as a page and as figures.
+
+Errors by difficulty, do-operation and cell: on which experiments a model fails.
+"""
+
+import logging
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cophy.bootstrap import Ratio, interval, mean
+from cophy.dataset.difficulty import difficulty
+from cophy.dataset.features import to_batch
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.splits import Part
+from cophy.report.figures import in_order, row_name
+from cophy.report.runs import of_seeds
+from cophy.scenario import Scenario
+from cophy.training.metrics import mean_squared_error, twin_difference
+from cophy.training.run import read_predictions
+from cophy.types import Prediction, Targets
+
+log = logging.getLogger(__name__)
+
+SECTION = ("scenario", "split", "positions", "size")
+ALL = "all"
+NAMED = {"cell": "cell", "twins": "cells of both twins", "do_operation": "do-operation"}
+OF_PAIRS = (ALL, "twins")  # groups for which the share of the twins' difference that is explained is given too
+NUMBERS = {
+    "displacement": "displacement (m)",
+    "observed_difference": "AB: distance from the twin's (m)",
+    "counterfactual_difference": "CD: distance from the twin's (m)",
+    "observed_margin": "A: margin of the tower (m)",
+    "counterfactual_margin": "C: margin of the tower (m)",
+}
+WORDS = {ALL: "all", **NAMED, **NUMBERS}
+RELATIVE_MSE_TOLERANCE = 1e-4  # float32, summed in another order
+
+
+def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: DatasetSpec, part: Part) -> pd.DataFrame:
+    """Break the test MSE of runs down by what makes an experiment hard.
+
+    Args:
+        runs: Finished predictors (see `read_runs`) that were tested on this part of the dataset. One whose predictions
+            are of something else, or of a part, is left out; the log names it. Of a row, those of `of_seeds` count.
+        arrays: The dataset.
+        spec: Its description.
+        part: The part that is tested on.
+
+    Returns:
+        One line per row of a table and group of experiments: experiments, seeds, mse (m²), low and high of its interval.
+        Where groups hold whole twin pairs (OF_PAIRS): explained, explained_low and explained_high, shares of the twins'
+        difference; NaN elsewhere.
+    """
+    tested = part.select_split(arrays, "test")
+    chosen = {name: array[tested] for name, array in arrays.items()}
+    truth, lines = to_batch(chosen, spec.scenario).targets, []
+    told = difficulty(arrays, spec)
+    values = {name: told[name][tested] for name in WORDS if name in told}
+    for keys, found in runs.groupby([*SECTION, "model", "ablation"]):
+        each = [error for run in of_seeds(found).to_dict("records") if (error := _errors(run, truth, spec)) is not None]
+        if not each:
+            continue
+        names = [str(key) for key in keys]
+        section = dict(zip(SECTION, names, strict=False)) | {"row": row_name(*names[-2:])}
+        errors, twin_error, twin_size = np.mean(each, axis=0)
+        for by, group, rows in groups(values):
+            low, high = interval(errors[rows], chosen["twin"][rows])
+            counts = {"experiments": int(rows.sum()), "seeds": len(each)}
+            numbers = {"mse": mean(errors[rows]), "low": low, "high": high}
+            if by in OF_PAIRS:
+                explained = Ratio(twin_size[rows] - twin_error[rows], twin_size[rows])
+                ends = interval(explained, chosen["twin"][rows])
+                numbers |= {"explained": mean(explained), "explained_low": ends[0], "explained_high": ends[1]}
+            lines.append({**section, "by": by, "group": group, **counts, **numbers})
+    return pd.DataFrame(lines)
+
+
+def groups(values: dict[str, np.ndarray]) -> Iterator[tuple[str, str, np.ndarray]]:
+    """(by, name of the group, (experiment,) bool): all experiments, then those of each name, and thirds of each number.
+
+    Equal numbers stay together, experiments without the number (NaN) are in no group, and empty groups are left out.
+    """
+    yield ALL, ALL, np.ones(len(next(iter(values.values()))), dtype=bool)
+    for by, value in values.items():
+        found = _of_each_name(value) if by in NAMED else _thirds(value)
+        yield from ((by, name, rows) for name, rows in found if rows.any())
+
+
+def _of_each_name(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    names = np.unique(value).tolist()
+    return [(name.replace("_", " "), value == name) for name in names] if len(names) > 1 else []
+
+
+def _thirds(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    known = ~np.isnan(value)
+    edges = np.quantile(value[known], np.arange(4) / 3) if known.any() else np.full(4, np.nan)
+    third = np.searchsorted(edges[1:3], value)
+    return [(f"{edges[k]:.3g} to {edges[k + 1]:.3g}", known & (third == k)) for k in range(3)]
+
+
+def _errors(run: dict[Any, Any], truth: Targets, spec: DatasetSpec) -> np.ndarray | None:
+    """(3, experiment) of one run: MSE, and error and size of the twins' difference (see `TwinDifference`). None where its predictions are not of this whole test split, or not those it was judged by."""
+    directory = run["directory"]
+    found = read_predictions(directory)
+    asked, all_of_them = len(found["target"]), len(truth.position)
+    if spec.id not in run["dataset_ids"] or not (
+        np.array_equal(found["target"], truth.position[:asked])
+        and np.array_equal(found["presence"], truth.presence[:asked])
+    ):
+        log.error("%s: its predictions are not of the test split of %s: make that run again", directory, spec.id)
+        return None
+    if asked < all_of_them:  # an oracle, whose groups would hold other experiments than those of the models
+        log.info("%s: not broken down by difficulty, as it was asked about %d of %d test experiments",
+                 directory, asked, all_of_them)  # fmt: skip
+        return None
+    by_chance = torch.from_numpy(found["draw_variance"]) if "draw_variance" in found else None
+    prediction = Prediction(torch.from_numpy(found["position"]), draw_variance=by_chance)
+    dims = spec.scenario.task.metric_dims
+    errors = mean_squared_error(dims)(prediction, truth).double().numpy()
+    if not np.isclose(errors.mean(), run["mse"], rtol=RELATIVE_MSE_TOLERANCE):
+        log.error("%s: its predictions have MSE %.6f, its metrics.json says %.6f: make that run again",
+                  directory, errors.mean(), run["mse"])  # fmt: skip
+        return None
+    of_twins = twin_difference(prediction, truth, dims)
+    return np.stack([errors, of_twins.error.numpy(), of_twins.size.numpy()])
+
+
+MAX_PANELS_PER_ROW = 4
+PANEL_LETTERS = 42  # that fit beside each other below a panel
+GROUP_WIDTH = 0.6  # of all models of a group together, as a share of the distance between groups
+EXPLANATION = """# MSE by difficulty
+
+The default split of each scenario, test experiments, mean over seeds. [ ]: 95 % bootstrap interval over the twin pairs of the group; n:
+experiments in it. What is a number is broken down by thirds.
+
+- cell: what the generator was told to make ({cells}).
+- cells of both twins: the same, for twin pairs. A second table has the share of the twins' difference that a row explains in
+  each: 0 % for any model without AB, 100 % for a perfect one.
+- displacement: by the do-operation; removals have none.
+- distance from the twin's: between two sequences that differ in their confounders alone, averaged over time, of the object
+  that differs most. AB: how distinguishable AB is. CD: how much the confounders matter.
+- margin: by statics under the true confounders, how far the tower's centre of mass is from where its outcome flips.
+"""
+
+
+def page(lines: pd.DataFrame, scenarios: Mapping[str, Scenario]) -> str:
+    """Markdown: per scenario, split, positions and size a table of groups × rows, those with the largest MSE first."""
+    meanings = [f"{name}: {meaning}" for name, scenario in scenarios.items() if (meaning := scenario.cell_meaning())]
+    explanation = EXPLANATION.format(cells="; ".join(meanings) or "there is only one")
+    return "\n".join([explanation, *(f"## {', '.join(keys)}\n\n{_table(found)}\n" for keys, found in _sections(lines))])
+
+
+def draw(lines: pd.DataFrame, scenarios: Mapping[str, Scenario]) -> Iterator[tuple[str, Figure]]:
+    """Name and figure of each section of the page: a panel per way to break down, models (no ablations) with intervals."""
+    for keys, found in _sections(lines):
+        meaning = scenarios[keys[0]].cell_meaning()
+        titles = {**WORDS, "cell": f"cell: {meaning}" if meaning else "cell"}
+        yield "-".join(["difficulty", *keys]), _panels(found, ", ".join(keys), titles)
+
+
+def _sections(lines: pd.DataFrame) -> Iterator[tuple[list[str], pd.DataFrame]]:
+    for keys, found in lines.groupby(list(SECTION)):
+        yield [str(key) for key in keys if key != "ground_truth"], found
+
+
+def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figure:
+    panels = [by for by in WORDS if by != ALL and by in set(frame["by"])]
+    rows = -(-len(panels) // MAX_PANELS_PER_ROW)
+    columns = -(-len(panels) // rows)
+    figure = Figure(figsize=(1.6 + 3.0 * columns, 0.5 + 3.0 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    axes[0, 0].set_yscale("function", functions=(lambda mse: np.sqrt(np.maximum(mse, 0)), np.square))
+    for axis, by in zip(axes.flat, panels, strict=False):
+        _panel(axis, frame, by, titles[by])
+    axes[0, 0].set_ylim(0, 1.05 * frame["high"][frame["row"].isin(_shown(frame))].max())
+    for axis in axes.flat[len(panels) :]:
+        axis.set_axis_off()
+    for first in axes[:, 0]:
+        first.set_ylabel("MSE (m²), square-root scale")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right center", frameon=False, fontsize="small")
+    figure.suptitle(title, fontsize="medium")
+    return figure
+
+
+def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
+    models = _shown(frame)
+    colors = {name: f"C{n}" for n, name in enumerate(in_order(frame["row"].unique()))}
+    shown = frame[frame["by"] == by]
+    groups = shown["group"].unique().tolist()
+    for n, name in enumerate(models):
+        found = shown[shown["row"] == name]
+        at = [groups.index(group) + GROUP_WIDTH * ((n + 0.5) / len(models) - 0.5) for group in found["group"]]
+        ends = [found["mse"] - found["low"], found["high"] - found["mse"]]
+        line = "" if by in NAMED else "-"
+        axis.errorbar(at, found["mse"], ends, fmt=f"o{line}", ms=4, lw=1.2, color=colors[name], label=name)
+    room = PANEL_LETTERS // len(groups)
+    labels = [textwrap.fill(group, room, break_long_words=False) for group in groups]
+    axis.set_xticks(range(len(groups)), labels, fontsize="small")
+    axis.set_xlim(-0.5, len(groups) - 0.5)
+    axis.set_title(title, fontsize="medium")
+    axis.grid(axis="y", alpha=0.2)
+
+
+def _shown(frame: pd.DataFrame) -> list[str]:
+    """Rows in a figure: models without their ablations, or what there is."""
+    rows = _by_error(frame)
+    return [row for row in rows if " " not in row] or rows
+
+
+def _explained(frame: pd.DataFrame) -> str:
+    """The share of the twins' difference that is explained, where groups hold whole pairs of several kinds."""
+    if "twins" not in set(frame["by"]):
+        return ""
+    of_pairs = frame[frame["explained"].notna()]
+    text = [
+        f"{explained:.0%} [{low:.0%}, {high:.0%}]"
+        for explained, low, high in of_pairs[["explained", "explained_low", "explained_high"]].itertuples(index=False)
+    ]
+    return f"Of the twins' difference, explained:\n\n{_wide(of_pairs.assign(text=text))}\n"
+
+
+def _table(frame: pd.DataFrame) -> str:
+    text = (
+        frame["mse"].map("{:.3f}".format) + frame["low"].map(" [{:.3f}, ".format) + frame["high"].map("{:.3f}]".format)
+    )
+    return f"{_wide(frame.assign(text=text))}\n\n{_explained(frame)}"
+
+
+def _wide(frame: pd.DataFrame) -> str:
+    cells = frame.assign(by=frame["by"].map(WORDS)).rename(columns={"experiments": "n"})
+    wide = cells.pivot_table(index=["by", "group", "n"], columns="row", values="text", aggfunc="first", sort=False)
+    return str(wide[_by_error(frame)].reset_index().to_markdown(index=False))
+
+
+def _by_error(frame: pd.DataFrame) -> list[str]:
+    """Names of rows, the largest MSE over all experiments first."""
+    return frame[frame["by"] == ALL].sort_values("mse", ascending=False)["row"].tolist()

@@ -1,0 +1,86 @@
+"""The end of a run in the terminal: its test MSE beside the copies, the paper's number and the oracles'."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from cophy.errors import CophyError
+from cophy.report.runs import read_line
+from cophy.report.tables import published_mse, share_of_gain, stored_errors
+from cophy.training.run import METRICS, Run
+
+ORACLES = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
+COPIES = {"copy_c": "copy C: nothing moves", "copy_b": "copy B: the do-operation changes nothing"}
+IN_PERCENT = {
+    "twin_difference_explained": "Of the twins' difference, explained",
+    "right_twin_chosen": "Right twin chosen",
+}
+
+
+def show_results(run: Run, metric_dims: int) -> None:
+    """Print a small table of what the run's metrics.json says, and where it lies.
+
+    Args:
+        run: Finished.
+        metric_dims: Coordinates that count for the MSE.
+    """
+    content = json.loads((run.directory / METRICS).read_bytes())
+    table = Table(
+        box=SIMPLE_HEAD, title=f"{run.model} ({run.ablation}) on {run.scenario} {run.split}", title_justify="left"
+    )
+    table.add_column(f"Of the test split, {content['num_test']} experiments")
+    table.add_column("", justify="right", no_wrap=True)
+    for line in _lines(run, content, metric_dims):
+        table.add_row(*line)
+    console = Console()
+    console.print(table)
+    console.print(f"Results: {run.directory}", soft_wrap=True, highlight=False)
+
+
+def _lines(run: Run, content: dict[str, Any], metric_dims: int) -> Iterator[tuple[str, str]]:
+    metrics, intervals = content["metrics"], content["intervals"]
+    low, high = intervals["mse"]
+    yield "MSE, m², with 95 % interval", f"{metrics['mse']:.4f} [{low:.4f}, {high:.4f}]"
+    for name, value in content["copies"].items():
+        yield f"  {COPIES[name]}", f"{value:.4f}"
+    if (published := published_mse(run.names())) is not None:
+        yield "  the paper's number of this row", f"{published:.3f}"
+    for name, title in IN_PERCENT.items():
+        if name in metrics:
+            low, high = intervals[name]
+            yield title, f"{metrics[name]:.1%} [{low:.1%}, {high:.1%}]"
+    if (share := _share(run, content, metric_dims)) is not None:
+        yield "Share of the possible gain", share
+
+
+def _share(run: Run, content: dict[str, Any], metric_dims: int) -> str | None:
+    """Of what AB adds to the best that is possible without it; None where not both oracles' runs are there."""
+    if run.root is None or run.positions != "ground_truth" or run.model.startswith(("oracle", "derenderer")):
+        return None
+    oracles = [_oracle(run.root / run.scenario / run.split / name, content) for name in ORACLES]
+    directories = [path for path in (run.directory, *oracles) if path is not None]
+    if len(directories) < 3:
+        return None
+    ours, *ends = (pd.DataFrame([{"directory": path, "metric_dims": metric_dims}]) for path in directories)
+    share = share_of_gain(ours, ends[0], ends[1], stored_errors)
+    return None if np.isnan(share.value) else f"{share.value:.0%} [{share.low:.0%}, {share.high:.0%}]"
+
+
+def _oracle(of_model: Path, content: dict[str, Any]) -> Path | None:
+    """The run of an oracle on the same test split, or on its first experiments; of several, the one that changes least."""
+    found = of_model.glob(f"full/ground_truth/seed*/{METRICS}")
+    for path in sorted(found, key=lambda path: len(path.parent.name)):
+        try:
+            other = read_line(path)
+        except CophyError:  # a file that train.py did not write; report.py names it
+            continue
+        if other["dataset_ids"] == content["dataset_ids"] and other["num_test"] <= content["num_test"]:
+            return path.parent
+    return None
