@@ -159,7 +159,7 @@ def _refuse_constant(name: str) -> Any:
     raise ValueError(name)
 
 
-WEB = Path(__file__).parents[1] / "web"
+WEB = Path(__file__).parent / "web"
 COOKIE = "cophy_study"
 COOKIE_AGE_S = 7 * 24 * 3600
 MAX_PLATFORM_ID = 128  # letters
