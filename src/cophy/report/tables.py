@@ -68,7 +68,7 @@ class PaperTable:
 
 def paper_tables() -> list[PaperTable]:
     """All tables of the paper that runs can fill."""
-    content = yaml.safe_load((files("cophy.report.tables") / "paper_tables.yaml").read_text())
+    content = yaml.safe_load((files("cophy.report") / "paper_tables.yaml").read_text())
     tables = [PaperTable(**table) for table in content["tables"]]
     return tables + [_derendered(table) for table in tables if table.also_derendered]
 
