@@ -18,7 +18,8 @@ from cophy.dataset.experiment_set import FRAMES, ORACLES, OracleSettings
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
-from cophy.models.cophynet import ConfounderInput, ConfounderSource, Decoding, Gating, Interaction, Readout
+from cophy.models.cophynet import ConfounderSource, Decoding, Gating, Interaction
+from cophy.models.derenderer import Readout
 from cophy.scenario import Balls, Blocktower, Collision, Scenario
 from cophy.scenario.rendering import RenderSettings
 from cophy.study.settings import Limits, StudySettings
@@ -91,7 +92,7 @@ class InteractionNetworkConfig:
     edge_layers: int = MISSING
     node_layers: int = MISSING
     radius: float | None = MISSING
-    confounders: ConfounderInput | None = MISSING
+    confounders: ConfounderSource | None = MISSING
     object_type: bool = MISSING
     pose: bool = MISSING
 

@@ -1,4 +1,4 @@
-"""What passes between data, models and losses.
+"""Batches of tensors that data, models and losses exchange.
 
 Axes: batch; time (frames at 5 Hz, T of them); steps (frames 1 … T-1, those of D); slots (K colours, see
 `Scenario.colors`). Metres, seconds; z up. An empty slot is zero in every tensor and False in every mask.
@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-# Features per object of `Inputs.confounders`: all that positions hide and that AB and CD share. Beside the confounders
-# of the paper these are the initial velocity (A and C do not show it), whether the object is a cylinder, and the
-# direction of a cylinder's axis or of a block's side (pictures show both, positions do not).
+# Features per object of `Inputs.confounders`: everything that positions do not show and that AB and CD share. These are the
+# confounders of the paper, the initial velocity (A and C do not show it), whether the object is a cylinder, and the
+# direction of a cylinder's axis or of a block's side (images show both, positions do not).
 CONFOUNDERS = (
     *("mass", "friction", "restitution", "gravity_x", "gravity_y"),
     *("velocity_x", "velocity_y", "velocity_z"),
@@ -24,25 +24,29 @@ CONFOUNDERS = (
 # indices of the x and y components of the vectors among them
 HORIZONTAL = [[CONFOUNDERS.index(f"{vector}_{axis}") for axis in "xy"] for vector in ("gravity", "velocity", "axis")]
 
-# Features per object of `Inputs.object_type`: 1 for what it is, else 0
+# Features per object of `Inputs.object_type` (one-hot)
 OBJECT_TYPES = ("box", "sphere", "cylinder")
 
-# Features per object of `Inputs.pose`, the same wherever an object looks the same. A block that stands on its base and has
-# the yaw ψ: cos 4ψ, sin 4ψ. A cylinder whose axis, a line without a sign, has the direction ψ and the height z (1: upright),
-# with r² = 1 - z²: r² cos 2ψ, r² sin 2ψ, r z cos ψ, r z sin ψ, z². All others are 0, and all of a sphere.
+# Features per object of `Inputs.pose`, equal for orientations that look equal. A block that stands on its base with
+# yaw ψ has cos 4ψ, sin 4ψ. A cylinder whose axis, a line without a sign, has the direction ψ and the height z (1: upright)
+# has, with r² = 1 - z², r² cos 2ψ, r² sin 2ψ, r z cos ψ, r z sin ψ, z². All other features are 0; a sphere has only zeros.
 POSE = ("block_cos_4", "block_sin_4", "axis_cos_2", "axis_sin_2", "axis_cos_1", "axis_sin_1", "axis_upright")
 
 # n -> the indices of cos nψ and sin nψ among them
 POSE_ANGLES = {
-    n: [POSE.index(f"{of}_{part}_{n}") for part in ("cos", "sin")] for of, n in (("axis", 1), ("axis", 2), ("block", 4))
+    n: [POSE.index(f"{name}_{part}_{n}") for part in ("cos", "sin")]
+    for name, n in (("axis", 1), ("axis", 2), ("block", 4))
 }
+
+# Axis of the slots in the fields of `Inputs` and `Prediction`; 1 in all others
+SLOT_AXIS = {"observed": 2, "observed_stable": 2, "position": 2, "stable_logit": 2, "draw_variance": 2}
 
 
 @dataclass
 class Inputs:
-    """What a model may see of a batch of experiments: AB and C, never D.
+    """Inputs of a model for a batch of experiments: AB and C, never D.
 
-    Where positions are estimated, these are what the de-renderer found.
+    Where a run uses a de-renderer (`positions=`), positions and presence are its estimates.
 
     Attributes:
         observed: Positions in AB, metres.
@@ -52,8 +56,8 @@ class Inputs:
         presence: Which slots hold an object in C, and so in D.
         confounders: The true confounders (`CONFOUNDERS`), standardised over the training set; None unless the
             configuration of the model asks for them.
-        object_type: What each object of AB is (`OBJECT_TYPES`); likewise None unless asked for.
-        pose: How each object is turned at t = 0 (`POSE`), the same in A and C; likewise None unless asked for.
+        object_type: Type of each object of AB (`OBJECT_TYPES`); None unless the model asks for it.
+        pose: Orientation of each object at t = 0 (`POSE`), the same in A and C; None unless the model asks for it.
     """
 
     observed: Float[Tensor, "batch time slots 3"]
@@ -70,12 +74,12 @@ class Inputs:
 
     @property
     def num_steps(self) -> int:
-        """T-1, the frames of D that are to be predicted."""
+        """T-1, the number of frames of D to predict."""
         return self.observed.shape[1] - 1
 
 
 def true_confounders(inputs: Inputs) -> Float[Tensor, "batch slots features"]:
-    """The true confounders, for a model whose configuration asks for them.
+    """Return the true confounders, for a model that asks for them.
 
     Raises:
         ValueError: They are not among the inputs.
@@ -89,17 +93,17 @@ def true_confounders(inputs: Inputs) -> Float[Tensor, "batch slots features"]:
 
 @dataclass
 class Targets:
-    """The truth, for losses and metrics alone.
+    """True outcomes of a batch of experiments, for losses and metrics only.
 
     Attributes:
         position: Positions in D, frames 1 … T-1, metres.
-        stable: Whether an object of CD stays below the stable speed from the frame before until this one.
-        presence: Which slots truly hold an object in CD.
+        stable: Whether an object of CD stays below the stable speed since the previous frame.
+        presence: True presence in CD.
         initial: True positions in C, metres.
-        observed_presence: Which slots truly hold an object in AB.
+        observed_presence: True presence in AB.
         confounder_class: Index of the mass, and of the friction, among the values of the scenario's grid.
-        pair: The twin pair that an experiment is of; twins have the same. Released experiments have one each.
-        cell: Index among `Scenario.cells()`; -1 where it is not known (released data).
+        pair: Index of the twin pair, shared by both twins. Released experiments have no twins.
+        cell: Index into `Scenario.cells()`; -1 where it is unknown (released data).
     """
 
     position: Float[Tensor, "batch steps slots 3"]
@@ -117,7 +121,7 @@ class Targets:
 
 @dataclass
 class Batch:
-    """Experiments: what models see of them, and the truth about them."""
+    """Inputs and targets of a batch of experiments."""
 
     inputs: Inputs
     targets: Targets
@@ -128,15 +132,15 @@ class Batch:
 
 @dataclass
 class Prediction:
-    """What a model says about D.
+    """Prediction of D.
 
     Attributes:
-        position: Positions in frames 1 … T-1, metres; values in empty slots mean nothing.
-        stable_logit: Positive where the object is said to be stable; a single step where that is decided once for the
-            whole sequence. None if the model does not say.
-        confounder_estimate: The latent estimate U. None if the model makes none.
-        draw_variance: Where the position is a mean of random draws (oracles), the variance that it owes to them, m².
-            Squared errors are without it.
+        position: Positions in frames 1 … T-1, metres; values in empty slots are meaningless.
+        stable_logit: Positive where the object is predicted to be stable; a single step if the model predicts stability
+            once for the whole sequence. None if the model does not predict stability.
+        confounder_estimate: The latent estimate U. None if the model has no estimate.
+        draw_variance: For Monte Carlo oracles, the sampling variance of `position`, m²; it is subtracted from squared
+            errors.
     """
 
     position: Float[Tensor, "batch steps slots 3"]
@@ -152,14 +156,11 @@ Tensors = TypeVar("Tensors", Inputs, Targets, Batch, Prediction)
 
 
 def map_tensors(function: Callable[..., Tensor], *batches: Tensors) -> Tensors:
-    """Apply a function to the tensors that several batches have under the same name.
+    """Apply a function to corresponding tensors of several batches of one class.
 
     Args:
-        function: From one tensor of each batch to a tensor.
-        *batches: Dataclasses of tensors, all of one class; None stays None.
-
-    Returns:
-        A dataclass of that class.
+        function: Takes one tensor of each batch and returns a tensor.
+        *batches: Dataclasses of tensors, possibly nested; None stays None.
     """
 
     def apply(*values: Any) -> Any:
@@ -168,22 +169,16 @@ def map_tensors(function: Callable[..., Tensor], *batches: Tensors) -> Tensors:
         return function(*values) if isinstance(values[0], Tensor) else map_tensors(function, *values)
 
     first = batches[0]
-    mapped = {each.name: apply(*(getattr(batch, each.name) for batch in batches)) for each in fields(first)}
+    mapped = {field.name: apply(*(getattr(batch, field.name) for batch in batches)) for field in fields(first)}
     return type(first)(**mapped)
 
 
-def moved(batch: Tensors, device: torch.device, dtype: torch.dtype) -> Tensors:
-    """A batch on the device, and in the precision, of a network.
-
-    Args:
-        batch: Any dataclass of tensors.
-        device: Where its tensors go.
-        dtype: Of its floating-point numbers; masks and indices keep theirs.
-    """
+def move_to(batch: Tensors, device: torch.device, dtype: torch.dtype) -> Tensors:
+    """Move a batch to a device, and its floating-point tensors to a precision."""
     return map_tensors(lambda tensor: tensor.to(device, dtype if tensor.is_floating_point() else None), batch)
 
 
 def take(batch: Tensors, index: slice | list[int] | Tensor) -> Tensors:
-    """Some experiments of a batch."""
-    chosen = torch.as_tensor(index) if isinstance(index, list) else index
-    return map_tensors(lambda tensor: tensor[chosen], batch)
+    """Select experiments of a batch."""
+    indices = torch.as_tensor(index) if isinstance(index, list) else index
+    return map_tensors(lambda tensor: tensor[indices], batch)

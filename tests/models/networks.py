@@ -1,34 +1,77 @@
-"""Networks as conf/ has them, and random experiments to feed them."""
+"""Small networks of every kind, and random experiments as their input."""
 
 from dataclasses import fields
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from cophy.config import composed, to_plain
-from cophy.training.checkpoints import build_network
-from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, Batch, Inputs, Prediction, Targets
+from cophy.models import Alongside, CoPhyNet, CopyB, CopyC, InteractionNetwork
+from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, SLOT_AXIS, Batch, Inputs, Prediction, Targets
 
-ABLATIONS = ("full", "static_gating", "mlp", "single_step", "feedforward", "gt_confounders")
-ALONGSIDE = (
-    "alongside",
-    *(f"alongside_no_{part}" for part in ("replay", "impulses", "pair_memory")),
-)
-INTERACTION_NETWORKS = ("in", "npe", "in gt_confounders", "npe gt_confounders")
-OTHERS = (*INTERACTION_NETWORKS, "copy_b", "copy_c", *ALONGSIDE)
-SEES_LOOKS = ("model.object_type=true", "model.pose=true")
+NUM_FRAMES = 7
+HIDDEN_DIM = 24  # unlike the width of any input, so that no two can be confused
+
+COPHYNET = {
+    "hidden_dim": HIDDEN_DIM,
+    "gru_layers": 2,
+    "edge_layers": 4,
+    "node_layers": 2,
+    "temperature": 1.0,
+    "confounders": "estimated",
+    "gating": "per_step",
+    "interaction": "graph",
+    "decoding": "autoregressive",
+}
+IN = {"hidden_dim": HIDDEN_DIM, "edge_layers": 4, "node_layers": 2, "radius": None, "confounders": None}
+ALONGSIDE = {
+    "hidden_dim": HIDDEN_DIM,
+    "edge_layers": 3,
+    "temperature": 1.0,
+    "arena_half_width": None,
+    "max_step": 3.2,
+    "replay": True,
+    "impulses": True,
+    "pair_memory": True,
+    "object_type": False,
+    "pose": False,
+}
+NEAR = {"radius": 2.0}  # metres; some random objects are nearer, some are not
+TRUE = {"confounders": "ground_truth"}
+COPHYNETS: dict[str, dict[str, Any]] = {
+    "cophynet": {},
+    "static_gating": {"gating": "static"},
+    "mlp": {"interaction": "mlp", "slots": ["a", "b", "c", "d"]},
+    "single_step": {"decoding": "single_step", "num_frames": NUM_FRAMES},
+    "feedforward": {"confounders": "none"},
+    "cophynet_true": TRUE,
+}
+INTERACTION_NETWORKS: dict[str, dict[str, Any]] = {"in": {}, "npe": NEAR, "in_true": TRUE, "npe_true": NEAR | TRUE}
+ALONGSIDES: dict[str, dict[str, Any]] = {
+    "alongside": {},
+    "alongside_walls": {"arena_half_width": 2.0},
+    "alongside_no_replay": {"replay": False},
+    "alongside_no_impulses": {"impulses": False},
+    "alongside_no_pair_memory": {"pair_memory": False},
+}
+TRAINED = (*COPHYNETS, *INTERACTION_NETWORKS, *ALONGSIDES)
+SEES_APPEARANCE = {"object_type": True, "pose": True}
 
 
-def build(choice: str, *overrides: str) -> nn.Module:
-    """The network of "model ablation" as conf/ has it, or of a CoPhyNet ablation; its weights follow from seed 0."""
-    model, _, ablation = f"cophynet {choice}".partition(" ") if choice in ABLATIONS else choice.partition(" ")
-    config = composed("train", f"model={model}", f"ablation={ablation or 'full'}", *overrides)
+def build(name: str, **changes: Any) -> nn.Module:
+    """Build a network whose weights follow from seed 0."""
     torch.manual_seed(0)
-    return build_network(to_plain(config.model))
+    if name in COPHYNETS:
+        return CoPhyNet(**COPHYNET | COPHYNETS[name] | changes)
+    if name in INTERACTION_NETWORKS:
+        return InteractionNetwork(**IN | INTERACTION_NETWORKS[name] | changes)
+    if name in ALONGSIDES:
+        return Alongside(**ALONGSIDE | ALONGSIDES[name] | changes)
+    return {"copy_b": CopyB, "copy_c": CopyC}[name]()
 
 
-def random_batch(num_slots: int, num_objects: list[int], num_frames: int = 30) -> Batch:
-    """Random experiments of so many objects each; from every second one, the do-operation removes one."""
+def random_batch(num_slots: int, num_objects: list[int], num_frames: int = NUM_FRAMES) -> Batch:
+    """Return random experiments with these numbers of objects; in every second one, an object is removed."""
     size, generator = len(num_objects), torch.Generator().manual_seed(0)
     order = torch.rand(size, num_slots, generator=generator).argsort(dim=1)
     observed_presence = order < torch.tensor(num_objects)[:, None]
@@ -60,14 +103,12 @@ def random_batch(num_slots: int, num_objects: list[int], num_frames: int = 30) -
     return Batch(inputs, targets)
 
 
-def permuted(inputs: Inputs, order: list[int]) -> Inputs:
-    """The same experiments with their slots in another order; what is not among the inputs stays so."""
-    axes = {"observed": 2, "observed_stable": 2}
-    tensors = {each.name: getattr(inputs, each.name) for each in fields(inputs)}
-    given = {name: tensor for name, tensor in tensors.items() if tensor is not None}
-    return Inputs(**{name: t.index_select(axes.get(name, 1), torch.tensor(order)) for name, t in given.items()})
+def permute_slots(inputs: Inputs, order: list[int]) -> Inputs:
+    """Return the same experiments with their slots in another order."""
+    tensors = {field.name: getattr(inputs, field.name) for field in fields(inputs)}
+    return Inputs(**{name: t.index_select(SLOT_AXIS.get(name, 1), torch.tensor(order)) for name, t in tensors.items()})
 
 
-def present(prediction: Prediction, inputs: Inputs) -> Tensor:
-    """Positions of the objects that are there; zero for all others."""
+def present_positions(prediction: Prediction, inputs: Inputs) -> Tensor:
+    """Return the predicted positions of present objects; zero for all others."""
     return prediction.position * inputs.presence[:, None, :, None]

@@ -1,47 +1,116 @@
-"""What keeps rollouts of `alongside` from running away."""
+"""Alongside: contacts against closed forms (spheres of 1 m, one step of constant velocity), and limits of rollouts."""
 
+import math
 from dataclasses import replace
 
+import pytest
 import torch
 
-from cophy.models.alongside import HIGH, PARTS, Own
+from cophy.errors import CophyError
+from cophy.models.alongside import IMPULSE_LOGIT_OFFSET, MAX_HEIGHT_M, STEP_DIMS, Contact, Contacts, EgoFeatures
 from cophy.models.layers import Appearance
 from cophy.types import Inputs
 from tests.models.networks import build, random_batch
 
 
-def test_objects_go_nowhere_in_leaps_once_it_is_trained() -> None:
-    network, inputs = build("alongside", "model.max_step=0.5"), random_batch(4, [4, 3, 2]).inputs
+def contact_of(offset: list[float], velocity: list[float]) -> Contact:
+    """Return the contact of two objects, given position and motion of the second relative to the first."""
+    position, motion = torch.zeros(1, 2, 3), torch.zeros(1, 2, 3)
+    position[0, 1], motion[0, 1] = torch.tensor(offset), torch.tensor(velocity)
+    with torch.no_grad():
+        return Contacts()(position, motion)
+
+
+def test_head_on_contact() -> None:
+    contact = contact_of([3.0, 0, 0], [-4.0, 0, 0])
+    torch.testing.assert_close(contact.moment.flatten(), torch.tensor([0.5, 0.5]))
+    torch.testing.assert_close(contact.normal[0, 0], torch.tensor([[1.0, 0, 0], [-1.0, 0, 0]]))
+    torch.testing.assert_close(contact.approach.flatten(), torch.tensor([-4.0, -4.0]))
+    torch.testing.assert_close(contact.gap.flatten(), torch.zeros(2), atol=1e-5, rtol=0)
+    assert contact.slip.abs().max() < 1e-5
+    assert contact.touches.all()
+
+
+def test_an_oblique_contact_has_the_normal_of_its_moment() -> None:
+    contact = contact_of([3.0, 0.6, 0], [-4.0, 0, 0])  # they touch where they are 0.8 m apart along x
+    torch.testing.assert_close(contact.normal[0, 0, 0], torch.tensor([0.8, 0.6, 0]))
+    torch.testing.assert_close(contact.moment[0, 0, 0], torch.tensor([2.2 / 4]))
+    torch.testing.assert_close(contact.approach[0, 0, 0], torch.tensor([-4 * 0.8]))
+    torch.testing.assert_close(contact.slip[0, 0, 0], torch.tensor([-4 + 4 * 0.64, 4 * 0.48, 0]))
+
+
+@pytest.mark.parametrize("velocity", [[-1.0, 0, 0], [4.0, 0, 0], [-4.0, 4.0, 0], [0.0, 0, 0]])
+def test_objects_that_arrive_too_late_or_pass_do_not_touch(velocity: list[float]) -> None:
+    contact = contact_of([3.0, 0, 0], velocity)
+    assert not contact.touches.any()
+    assert (contact.gap > 0).all()
+    assert all(torch.isfinite(tensor).all() for tensor in vars(contact).values())
+
+
+def test_equal_masses_exchange_their_motion_along_the_normal_in_an_elastic_impact() -> None:
+    contact, incoming = contact_of([3.0, 0.6, 0], [-4.0, 0, 0]), torch.tensor([-4.0, 0, 0])
+    # half of the largest impulse: (1 + e) m / (m + m) with e = 1
+    share_logits = torch.tensor([IMPULSE_LOGIT_OFFSET, -math.inf]).expand(1, 1, 2, 2)
+    first, second = contact.impulse(share_logits)[0, 0]
+    torch.testing.assert_close(first, -4 * 0.8 * torch.tensor([0.8, 0.6, 0]))
+    torch.testing.assert_close(first + second, torch.zeros(3), atol=1e-6, rtol=0)  # momentum is conserved
+    energy = first.norm() ** 2 + (incoming + second).norm() ** 2
+    torch.testing.assert_close(energy, incoming.norm() ** 2)
+
+
+def test_changes_are_projected_on_normal_and_slip() -> None:
+    contact = contact_of([3.0, 0.6, 0], [-4.0, 0, 0])
+    projected = contact.along(torch.tensor([[[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0]]]))
+    torch.testing.assert_close(projected[0, 0, 0], torch.tensor([1.0, 0.0, 0.0, 1.0]), atol=1e-5, rtol=0)
+
+
+def test_steps_are_limited_in_evaluation() -> None:
+    network, inputs = build("alongside", max_step=0.5), random_batch(4, [4, 3, 2]).inputs
     far = replace(inputs, observed=100 * inputs.observed)
     assert longest_step(network.train()(far).position, inputs) > 10
     assert longest_step(network.eval()(far).position, inputs) <= 0.5 + 1e-4
 
 
-def test_a_motion_that_no_object_makes_is_left_as_it_is() -> None:
-    """The state v may be longer than any step: cutting it had cost a trained network half as much error again."""
-    network, inputs = build("alongside", "model.max_step=3.2"), random_batch(4, [4, 3, 2]).inputs
+def test_the_limit_applies_to_displacements_and_not_to_the_velocity() -> None:
+    """The velocity may exceed any step: clipping it cost a trained network half as much error again."""
+    network, inputs = build("alongside"), random_batch(4, [4, 3, 2]).inputs
     slow = replace(inputs, observed=inputs.observed[:, :1] + 0.01 * inputs.observed)
     with torch.no_grad():
-        _, turn, mixture, next_mixture, *_ = network.to_step[-1].bias.split(PARTS)
-        mixture.fill_(50.0)  # every step is AB's, so that it is short
-        next_mixture.fill_(-50.0)
-        turn.fill_(5.0)
+        _, c_next, mixture, mixture_next, *_ = network.to_step[-1].bias.split(STEP_DIMS)
+        mixture.fill_(50.0)  # every step is that of AB, so it is short
+        mixture_next.fill_(-50.0)
+        c_next.fill_(5.0)
     free, limited = network.train()(slow), network.eval()(slow)
     assert longest_step(free.position, slow) < 3.2
     torch.testing.assert_close(limited.stable_logit, free.stable_logit)
     torch.testing.assert_close(limited.position, free.position)
 
 
-def test_heights_above_the_limit_count_as_the_limit() -> None:
-    """So a fourth block is no higher than what a training on three blocks has shown."""
-    own, inputs = Own(None, Appearance(object_type=False, pose=False)), random_batch(1, [3]).inputs
-    heights = torch.tensor([0.5, HIGH, 3.5])
+def test_heights_are_clipped() -> None:
+    """So a fourth block is no higher than the blocks of a training set with three."""
+    ego, inputs = EgoFeatures(None, Appearance(object_type=False, pose=False)), random_batch(1, [3]).inputs
+    heights = torch.tensor([0.5, MAX_HEIGHT_M, 3.5])
     position = torch.stack([torch.zeros(3), torch.ones(3), heights], dim=-1)[None]
-    seen = own.of(position, torch.zeros_like(position), torch.tensor(1.0), inputs)
-    torch.testing.assert_close(seen[0, :, 0], torch.tensor([0.5, HIGH, HIGH]))
+    features = ego.compute(position, torch.zeros_like(position), torch.tensor(1.0), inputs)
+    torch.testing.assert_close(features[0, :, 0], torch.tensor([0.5, MAX_HEIGHT_M, MAX_HEIGHT_M]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"edge_layers": 0}, "model.edge_layers=0 must be at least 2"),
+        ({"hidden_dim": 0}, "model.hidden_dim=0 must be at least 1"),
+        ({"temperature": 0.0}, r"model.temperature=0\.0 must be positive"),
+        ({"max_step": -1.0}, r"model.max_step=-1\.0 must be positive"),
+        ({"arena_half_width": 0.0}, r"model.arena_half_width=0\.0 must be positive"),
+    ],
+)
+def test_arguments_out_of_range_are_refused(arguments: dict, message: str) -> None:
+    with pytest.raises(CophyError, match=message):
+        build("alongside", **arguments)
 
 
 def longest_step(position: torch.Tensor, inputs: Inputs) -> float:
-    """Metres, of objects that are there."""
+    """Return the longest displacement of a present object in one step, metres."""
     path = torch.cat([inputs.initial[:, None], position.detach()], dim=1)
     return float(((path[:, 1:] - path[:, :-1]).norm(dim=-1) * inputs.presence[:, None]).max())

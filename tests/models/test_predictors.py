@@ -1,169 +1,127 @@
-"""Predictors by property."""
+"""Properties that all predictors share."""
 
 from dataclasses import replace
 
 import pytest
 import torch
-from torch import nn
 
-from cophy.models.baselines import CopyB, CopyC
 from cophy.training.losses import position_loss, stability_loss
-from cophy.types import Batch, Inputs, map_tensors, take
-from tests.models.networks import ABLATIONS, ALONGSIDE, OTHERS, build, permuted, present
+from cophy.types import Batch, map_tensors, take
+from tests.models.networks import (
+    COPHYNETS,
+    INTERACTION_NETWORKS,
+    NUM_FRAMES,
+    SEES_APPEARANCE,
+    TRAINED,
+    build,
+    permute_slots,
+    present_positions,
+    random_batch,
+)
+
+READ_AB = ("cophynet", "static_gating", "mlp", "single_step", "alongside", "alongside_no_replay")
+DECLARE_APPEARANCE = (*COPHYNETS, *INTERACTION_NETWORKS, "alongside")
 
 
-@pytest.fixture(params=[*(name for name in ABLATIONS if name != "mlp"), *OTHERS])
-def network(request: pytest.FixtureRequest) -> nn.Module:
-    return build(request.param)
+@pytest.fixture(scope="module")
+def batch() -> Batch:
+    return random_batch(4, [4, 3, 2, 3])
 
 
-@pytest.fixture(params=[*ABLATIONS, *OTHERS])
-def any_network(request: pytest.FixtureRequest) -> nn.Module:
-    return build(request.param)
+@pytest.mark.parametrize("name", [name for name in TRAINED if name != "mlp"])
+def test_permuting_objects_permutes_the_prediction(name: str, batch: Batch) -> None:
+    network, inputs, order = build(name, **SEES_APPEARANCE), batch.inputs, [2, 0, 3, 1]
+    expected = present_positions(network(inputs), inputs)[:, :, order]
+    permuted = permute_slots(inputs, order)
+    torch.testing.assert_close(present_positions(network(permuted), permuted), expected, atol=1e-5, rtol=1e-4)
 
 
-@pytest.fixture
-def inputs(tower_batch: Batch) -> Inputs:
-    """What is seen of all tiny towers."""
-    return tower_batch.inputs
+def test_an_mlp_over_slots_is_not_equivariant(batch: Batch) -> None:
+    network, inputs, order = build("mlp"), batch.inputs, [2, 0, 3, 1]
+    permuted = permute_slots(inputs, order)
+    difference = (
+        present_positions(network(permuted), permuted) - present_positions(network(inputs), inputs)[:, :, order]
+    )
+    assert difference.abs().max() > 0.01
 
 
-def test_permuting_objects_permutes_the_prediction(network: nn.Module, inputs: Inputs) -> None:
-    order = [2, 0, 3, 1]
-    expected = present(network(inputs), inputs).index_select(2, torch.tensor(order))
-    changed = permuted(inputs, order)
-    torch.testing.assert_close(present(network(changed), changed), expected, atol=1e-5, rtol=1e-4)
-
-
-def test_an_mlp_over_slots_is_the_one_that_is_not_equivariant(inputs: Inputs) -> None:
-    network, order = build("mlp"), [2, 0, 3, 1]
-    expected = present(network(inputs), inputs).index_select(2, torch.tensor(order))
-    changed = permuted(inputs, order)
-    assert (present(network(changed), changed) - expected).abs().max() > 0.01
-
-
-def test_absent_objects_change_nothing(any_network: nn.Module, inputs: Inputs) -> None:
-    absent_ab, absent_cd = ~inputs.observed_presence, ~inputs.presence
+@pytest.mark.parametrize("name", [*TRAINED, "copy_b", "copy_c"])
+def test_absent_objects_change_nothing(name: str, batch: Batch) -> None:
+    inputs = batch.inputs
+    network = build(name, **SEES_APPEARANCE)
     noise = map_tensors(lambda t: torch.randn(t.shape) if t.is_floating_point() else t, inputs)
+    absent_ab, absent_cd = ~inputs.observed_presence, ~inputs.presence
     noisy = replace(
         inputs,
         observed=torch.where(absent_ab[:, None, :, None], noise.observed, inputs.observed),
         initial=torch.where(absent_cd[..., None], noise.initial, inputs.initial),
         confounders=torch.where(absent_ab[..., None], noise.confounders, inputs.confounders),
+        object_type=torch.where(absent_ab[..., None], noise.object_type, inputs.object_type),
+        pose=torch.where(absent_ab[..., None], noise.pose, inputs.pose),
     )
-    expected = present(any_network(inputs), inputs)
-    torch.testing.assert_close(present(any_network(noisy), inputs), expected, atol=1e-5, rtol=1e-4)
+    expected = present_positions(network(inputs), inputs)
+    torch.testing.assert_close(present_positions(network(noisy), inputs), expected, atol=1e-5, rtol=1e-4)
 
 
-def test_an_experiment_does_not_depend_on_its_batch(any_network: nn.Module, inputs: Inputs) -> None:
-    alone = take(inputs, slice(5, 6))
-    torch.testing.assert_close(
-        present(any_network(alone), alone), present(any_network(inputs), inputs)[5:6], atol=1e-5, rtol=1e-4
-    )
+@pytest.mark.parametrize("name", TRAINED)
+def test_an_experiment_does_not_depend_on_its_batch(name: str, batch: Batch) -> None:
+    network, inputs = build(name), batch.inputs
+    alone = take(inputs, slice(2, 3))
+    expected = present_positions(network(inputs), inputs)[2:3]
+    torch.testing.assert_close(present_positions(network(alone), alone), expected, atol=1e-5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("choice", [*ABLATIONS, "in", "npe", "in gt_confounders", *ALONGSIDE])
-def test_every_parameter_gets_a_gradient(choice: str, tower_batch: Batch) -> None:
-    network = build(choice)
-    prediction = network(tower_batch.inputs)
-    loss = position_loss(prediction, tower_batch.targets)
+@pytest.mark.parametrize("name", TRAINED)
+def test_every_parameter_gets_a_gradient(name: str, batch: Batch) -> None:
+    network = build(name, **SEES_APPEARANCE)
+    prediction = network(batch.inputs)
+    loss = position_loss(prediction, batch.targets)
     if prediction.stable_logit is not None:
-        loss = loss + stability_loss(prediction.stable_logit, tower_batch.targets)
+        loss = loss + stability_loss(prediction.stable_logit, batch.targets)
     loss.backward()
-    without = [
-        name for name, parameter in network.named_parameters() if parameter.grad is None or not parameter.grad.any()
-    ]
-    assert not without
+    assert [key for key, p in network.named_parameters() if p.grad is None or not p.grad.any()] == []
 
 
-@pytest.mark.parametrize("choice", ["feedforward", "in", "npe"])
-def test_what_never_sees_ab_cannot_tell_twins_apart(choice: str, inputs: Inputs) -> None:
-    position = build(choice)(inputs).position
-    torch.testing.assert_close(position[::2], position[1::2])
-
-
-@pytest.mark.parametrize("ablation", ["full", "static_gating", "mlp", "single_step", *ALONGSIDE])
-def test_counterfactual_models_read_ab(ablation: str, inputs: Inputs) -> None:
-    position = build(ablation)(inputs).position
-    assert (position[::2] - position[1::2]).abs().max() > 1e-6
-
-
-@pytest.mark.parametrize("choice", ["gt_confounders", "in gt_confounders"])
-def test_true_confounders_replace_ab(choice: str, inputs: Inputs) -> None:
-    network = build(choice)
+@pytest.mark.parametrize("name", ["feedforward", "in", "npe", "cophynet_true", "in_true"])
+def test_models_without_ab_ignore_it(name: str, batch: Batch) -> None:
+    network, inputs = build(name, **SEES_APPEARANCE), batch.inputs
     blind = replace(inputs, observed=torch.zeros_like(inputs.observed))
     torch.testing.assert_close(network(blind).position, network(inputs).position)
 
 
-@pytest.mark.parametrize("choice", [*ABLATIONS, *OTHERS])
-def test_only_what_is_configured_to_see_true_confounders_needs_them(choice: str, inputs: Inputs) -> None:
-    network, without = build(choice), replace(inputs, confounders=None)
-    if "gt_confounders" in choice:
+@pytest.mark.parametrize("name", READ_AB)
+def test_counterfactual_models_read_ab(name: str, batch: Batch) -> None:
+    network, inputs = build(name), batch.inputs
+    blind = replace(inputs, observed=torch.zeros_like(inputs.observed))
+    assert (network(blind).position - network(inputs).position).abs().max() > 1e-6
+
+
+@pytest.mark.parametrize("name", TRAINED)
+def test_only_models_with_true_confounders_need_them(name: str, batch: Batch) -> None:
+    network, without = build(name), replace(batch.inputs, confounders=None)
+    if name.endswith("_true"):
         with pytest.raises(ValueError, match="true confounders are not among the inputs"):
             network(without)
     else:
-        torch.testing.assert_close(network(without).position, network(inputs).position)
+        torch.testing.assert_close(network(without).position, network(batch.inputs).position)
 
 
-@pytest.mark.parametrize("choice", [*(name for name in ABLATIONS if name != "mlp"), *OTHERS])
-def test_a_batch_without_any_object_is_answered(choice: str, inputs: Inputs) -> None:
-    nothing = torch.zeros_like(inputs.presence)
-    empty = replace(inputs, presence=nothing, observed_presence=nothing)
-    assert build(choice)(empty).position.shape == (len(inputs), 29, 4, 3)
+@pytest.mark.parametrize("name", DECLARE_APPEARANCE)
+@pytest.mark.parametrize("field", ["object_type", "pose"])
+def test_appearance_is_read_only_where_it_is_enabled(name: str, field: str, batch: Batch) -> None:
+    inputs = batch.inputs
+    changed = replace(inputs, **{field: -getattr(inputs, field)})
+    sees, blind = build(name, **{field: True}), build(name)
+    difference = present_positions(sees(changed), inputs) - present_positions(sees(inputs), inputs)
+    assert difference.abs().max() > 1e-5
+    without = replace(inputs, object_type=None, pose=None)
+    torch.testing.assert_close(blind(changed).position, blind(without).position, atol=0, rtol=0)
+    with pytest.raises(ValueError, match=f"{field} is not among the inputs: a model needs {field}: true for it"):
+        sees(without)
 
 
-def test_static_gating_decides_once(inputs: Inputs) -> None:
-    assert build("static_gating")(inputs).stable_logit.shape[1] == 1
-    assert build("full")(inputs).stable_logit.shape[1] == 29
-
-
-def test_an_object_sure_to_be_stable_stays(inputs: Inputs) -> None:
-    network = build("full")
-    nn.init.zeros_(network.decoder.to_stable_logit.weight)
-    nn.init.constant_(network.decoder.to_stable_logit.bias, 50.0)
-    position = present(network(inputs), inputs)
-    torch.testing.assert_close(position, present(CopyC()(inputs), inputs))
-
-
-def test_npe_hears_only_those_within_its_radius(inputs: Inputs) -> None:
-    """Blocks moved 100 m apart: for IN the others matter, for NPE they might as well not be there."""
-    apart = 100.0 * torch.arange(4.0)[:, None] * torch.tensor([1.0, 0.0, 0.0])
-    far = replace(inputs, initial=inputs.initial + apart)
-    shifted = replace(far, initial=far.initial + 5 * torch.eye(4)[0][:, None])  # one colour moves, by 5 m
-    for name, hears in (("npe", False), ("in", True)):
-        network = build(name)
-        moved = (network(shifted).position - network(far).position)[:, :, 1:]
-        assert bool(moved.abs().max() > 1e-3) == hears
-
-
-def test_copies_copy(inputs: Inputs) -> None:
-    torch.testing.assert_close(CopyC()(inputs).position[:, 17], inputs.initial)
-    torch.testing.assert_close(CopyB()(inputs).position, inputs.observed[:, 1:])
-    assert (CopyC()(inputs).stable_logit > 0).all()
-    assert ((CopyB()(inputs).stable_logit > 0) == inputs.observed_stable).all()
-
-
-def test_copy_b_leaves_what_was_missed_in_ab_where_it_is_in_c(inputs: Inputs) -> None:
-    missed = inputs.observed_presence.clone()
-    missed[:, 0] = False
-    none_stable = torch.zeros_like(inputs.observed_stable)
-    prediction = CopyB()(replace(inputs, observed_presence=missed, observed_stable=none_stable))
-    assert ((prediction.stable_logit[:, :, 0] > 0) == inputs.presence[:, None, 0]).all()
-    assert not (prediction.stable_logit[:, :, 1:][:, :, missed[0, 1:]] > 0).any()
-    position = prediction.position
-    torch.testing.assert_close(position[:, :, 0], inputs.initial[:, None, 0].expand(-1, 29, -1))
-    torch.testing.assert_close(position[:, :, 1:][:, :, missed[0, 1:]], inputs.observed[:, 1:, 1:][:, :, missed[0, 1:]])
-
-
-def test_cophynet_overfits_one_batch(tower_batch: Batch) -> None:
-    network, batch = build("full"), take(tower_batch, slice(8))
-    optimizer = torch.optim.Adam(network.parameters(), lr=0.004)
-    for _ in range(120):
-        loss = position_loss(network(batch.inputs), batch.targets)
-        optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(
-            network.parameters(), 1.0
-        )  # as in training (conf/trainer): rollouts explode now and then
-        optimizer.step()
-    assert loss < 0.1 * position_loss(CopyC()(batch.inputs), batch.targets)
+@pytest.mark.parametrize("name", [name for name in TRAINED if name != "mlp"])
+def test_a_batch_without_objects_is_predicted(name: str, batch: Batch) -> None:
+    nothing = torch.zeros_like(batch.inputs.presence)
+    empty = replace(batch.inputs, presence=nothing, observed_presence=nothing)
+    assert build(name)(empty).position.shape == (4, NUM_FRAMES - 1, 4, 3)

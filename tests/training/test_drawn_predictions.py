@@ -25,7 +25,7 @@ def test_the_clip_is_of_twins_or_of_one_experiment(
 ) -> None:
     scenario, clips = scenario_of("balls"), []
     monkeypatch.setattr(figures, "add_clip", lambda writer, name, frames, **_: clips.append(frames))
-    batch = random_batch(scenario.num_slots, [4] * 4)
+    batch = random_batch(scenario.num_slots, [4] * 4, num_frames=30)
     shown = replace(batch, targets=replace(batch.targets, pair=torch.tensor(pairs)))
     prediction = Prediction(shown.targets.position, torch.zeros_like(shown.targets.position[..., 0]))
     DrawnPredictions(shown, scenario, "val").add(Writer(), prediction, 0)

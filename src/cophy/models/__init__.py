@@ -1,14 +1,23 @@
-"""Networks: what a model may see (`Inputs`) in, what it says about D (`Prediction`) out.
+"""Networks: from what a model may see (`cophy.types.Inputs`) to a prediction of D. No Lightning, configuration or files.
 
-They know no Lightning, no configuration and no files.
-
-cophynet: CoPhyNet and its ablations (paper Sec. 4).
-confounder_estimator: from AB to the estimate U of the confounders (Sec. 4.1).
-appearance: object type and pose, for a model that declares them.
-decoders: from C and U to D, with the stability gate (Sec. 4.2).
-baselines: copy B, copy C, Interaction Network, Neural Physics Engine.
-derenderer: from an image to positions and presence (appendix).
-options: the values that switches in conf/model and conf/ablation can have.
-alongside/: a predictor that reads AB step by step while it predicts D; not in the paper.
-layers/: graph convolution (Eq. 1), packing of slots, MLPs.
+Public names are imported on first use: `from cophy.models import CoPhyNet`.
 """
+
+from importlib import import_module
+from typing import Any
+
+_MODULES = {
+    "Alongside": "alongside",
+    "CoPhyNet": "cophynet",
+    "CopyB": "baselines",
+    "CopyC": "baselines",
+    "Derenderer": "derenderer",
+    "InteractionNetwork": "baselines",
+}
+__all__ = ["Alongside", "CoPhyNet", "CopyB", "CopyC", "Derenderer", "InteractionNetwork"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

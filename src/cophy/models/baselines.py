@@ -1,15 +1,15 @@
-"""What CoPhyNet is held against: copies, the Interaction Network and the Neural Physics Engine."""
+"""Baselines: copy C, copy B, the Interaction Network (IN) and the Neural Physics Engine (NPE)."""
 
 import torch
 from torch import nn
 
-from cophy.models.cophynet import ConfounderInput
-from cophy.models.layers import Appearance, PairwiseMLP, hear_sum_of_near, mlp, pack, unpack
+from cophy.errors import CophyError
+from cophy.models.layers import Appearance, PairwiseMLP, check_at_least, check_positive, mlp, pack, radius_graph, unpack
 from cophy.types import CONFOUNDERS, Inputs, Prediction, true_confounders
 
 
 class CopyC(nn.Module):
-    """D is C: nothing moves, every object is stable (paper Tables 1-4, 6, 7)."""
+    """Copy C predicts that nothing moves: D is C and every object is stable (paper Tables 1-4, 6, 7)."""
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Repeat the initial positions for every step."""
@@ -18,26 +18,26 @@ class CopyC(nn.Module):
 
 
 class CopyB(nn.Module):
-    """D is B: the do-operation changed nothing (paper Tables 1-4, 6, 7)."""
+    """Copy B predicts the observed outcome: the do-operation changes nothing (paper Tables 1-4, 6, 7)."""
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Repeat the observed positions and stability, step for step."""
-        seen = inputs.observed_presence[:, None]  # what a de-renderer missed in AB stays where it is in C
+        seen = inputs.observed_presence[:, None]  # an object that a de-renderer missed in AB stays where it is in C
         position = torch.where(seen[..., None], inputs.observed[:, 1:], inputs.initial[:, None])
         stable = inputs.observed_stable | (inputs.presence[:, None] & ~seen)
         return Prediction(position, stable_logit=2 * stable.to(position.dtype) - 1)
 
 
 class InteractionNetwork(nn.Module):
-    """Feedforward baselines, which see C and never AB (paper, appendix).
+    """Feedforward baselines IN and NPE, which see C and never AB (paper, appendix).
 
-    Both predict an object's next displacement from its state and the effects of others on it:
+    Both predict the next displacement of an object from its state and the effects of others on it:
 
         e^k = Σ_j f(o^k, o^j)        Δ^k = g(o^k, e^k)        position_{t+1}^k = position_t^k + Δ^k
 
-    The state o is [position, displacement of the step before]; that is zero before the first step. True confounders,
-    object types and poses follow where they are declared. The Interaction Network (Battaglia et al., NIPS 2016) sums
-    over all other objects. The Neural Physics Engine (Chang et al., ICLR 2017) sums over those within a radius.
+    The state o is [position, displacement of the previous step]; the first displacement is zero. True confounders,
+    object types and poses are appended where they are enabled. The Interaction Network (Battaglia et al., NIPS 2016)
+    sums over all other objects. The Neural Physics Engine (Chang et al., ICLR 2017) sums over those within a radius.
     """
 
     def __init__(
@@ -59,27 +59,34 @@ class InteractionNetwork(nn.Module):
             node_layers: Linear layers of g.
             radius: Metres within which objects act on each other; None for all (Interaction Network).
             confounders: `ground_truth` makes the true confounders part of the state ("IN sup."); None does not.
-            object_type: Whether it sees what each object is.
-            pose: Whether it sees how each object is turned at t = 0.
+            object_type: Whether the model sees the type of each object.
+            pose: Whether the model sees the orientation of each object at t = 0.
+
+        Raises:
+            CophyError: An argument is out of its range.
         """
         super().__init__()
-        self.radius = radius
-        self.confounders = None if confounders is None else ConfounderInput(confounders)
+        check_at_least(1, hidden_dim=hidden_dim, node_layers=node_layers)
+        check_at_least(2, edge_layers=edge_layers)
+        check_positive(radius=radius)
+        if confounders not in (None, "ground_truth"):
+            raise CophyError(f"model.confounders={confounders} must be ground_truth or null")
+        self.radius, self.sees_confounders = radius, confounders is not None
         self.appearance = Appearance(object_type, pose)
-        state_dim = 6 + (len(CONFOUNDERS) if self.confounders else 0) + self.appearance.width
+        state_dim = 6 + len(CONFOUNDERS) * self.sees_confounders + self.appearance.width
         self.f = PairwiseMLP(state_dim, hidden_dim, layers=edge_layers)
         self.g = mlp(state_dim + hidden_dim, hidden_dim, node_layers, output_dim=3)
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Roll D out from C, one step per frame of AB after the first."""
         packed, slots = pack(inputs)
-        confounders = true_confounders(packed) if self.confounders else packed.initial[..., :0]
-        known = self.appearance.beside(confounders, packed)
+        confounders = true_confounders(packed) if self.sees_confounders else packed.initial[..., :0]
+        constant = self.appearance.concatenate_to(confounders, packed)
         position, positions = packed.initial, []
         displacement = torch.zeros_like(position)
         for _ in range(inputs.num_steps):
-            state = torch.cat([position, displacement, known], dim=-1)
-            graph = hear_sum_of_near(self.radius, position, packed.presence)
+            state = torch.cat([position, displacement, constant], dim=-1)
+            graph = radius_graph(position, packed.presence, self.radius)
             effects = graph.sum_over_senders(self.f(state))
             displacement = self.g(torch.cat([state, effects], dim=-1))
             position = position + displacement

@@ -1,15 +1,17 @@
-"""CoPhyNet (paper Sec. 4): predict D from C and what AB tells about the confounders.
+"""CoPhyNet (paper Sec. 4): predict D from C and from what AB shows about the confounders.
 
-Switches of the models, as configuration spells them.
-Unsupervised estimation of the confounders from AB (paper Sec. 4.1).
-From C and the confounders to D, gated by stability (paper Sec. 4.2).
+    observed AB --GCN per frame, GRU over time--> u
+                                                  |
+    initial C = o_0 ----------------------> [o_t, u] --GCN--> stability s_t --------------------+
+                                             ^    |                                             |
+                                             |    +--GCN, GRU over time, linear--> Δ_t --> o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t
+                                             |                                                  |
+                                             +------------------- next step --------------------+
 
-There are two networks, one of stability and one of displacement. Here both get [o, u] of every object. The paper's
-equation for the stability has that. Its equation for the displacement gives u of the neighbours but not of the object
-itself. We take this for an oversight: an object would not know its own mass.
-
-u is what stands for the confounders: the estimate U, the true ones, or nothing (width 0). Where a model declares object
-types or poses, they follow.
+u is the estimate U, the true confounders, or nothing (width 0). Object types and poses, where enabled, are appended to every
+position of AB and to u. Both networks of the decoder get [o, u] of every object. The paper's equation for the stability has
+that; its equation for the displacement has u of the neighbours only. We take this for an oversight, because an object would
+not know its own mass.
 """
 
 from collections.abc import Callable
@@ -19,64 +21,62 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from cophy.models.layers import Appearance, GraphConvolution, SlotMLP, hear_mean_of_others, pack, unpack
+from cophy.errors import CophyError
+from cophy.models.layers import (
+    Appearance,
+    GraphConvolution,
+    SlotMLP,
+    check_at_least,
+    check_positive,
+    mean_graph,
+    pack,
+    parse_option,
+    unpack,
+)
 from cophy.types import CONFOUNDERS, Inputs, Prediction, true_confounders
 
 
 class ConfounderSource(Enum):
-    """Where CoPhyNet's confounders come from: AB, the ground truth, or nowhere (a feedforward model)."""
+    """Source of the confounders: estimated from AB, ground truth, or none (a feedforward model)."""
 
     estimated = "estimated"
     ground_truth = "ground_truth"
     none = "none"
 
 
-class ConfounderInput(Enum):
-    """What a model that never sees AB may be given besides C (or null: nothing)."""
-
-    ground_truth = "ground_truth"
-
-
 class Gating(Enum):
-    """When stability is decided: at every step, or once per sequence from C and U (paper Table 6 left)."""
+    """When stability is predicted: at every step, or once per sequence from C and U (paper Table 6 left)."""
 
     per_step = "per_step"
     static = "static"
 
 
 class Interaction(Enum):
-    """How objects hear of each other: graph convolution, or an MLP over the concatenated slots (paper Table 6 left)."""
+    """How objects interact: graph convolution, or an MLP over the concatenated slots (paper Table 6 left)."""
 
     graph = "graph"
     mlp = "mlp"
 
 
 class Decoding(Enum):
-    """How D is predicted: step by step, or all of it at once (paper Table 6 left)."""
+    """How D is predicted: step by step, or all steps at once (paper Table 6 left)."""
 
     autoregressive = "autoregressive"
     single_step = "single_step"
 
 
-class Readout(Enum):
-    """How a de-renderer reads positions off its maps: by where an object is and how it looks there, or linearly (paper)."""
-
-    attention = "attention"
-    linear = "linear"
-
-
 class ConfounderEstimator(nn.Module):
-    """Graph convolution per frame of AB, then a GRU per object over time (φ in the paper's appendix).
+    """Unsupervised estimation of the confounders from AB (paper Sec. 4.1; φ in the appendix).
 
-    The estimate u^k of object k is the GRU's hidden state after the last frame, of its top layer. All objects share
-    the GRU.
+    A graph convolution per frame is followed by a GRU over time that all objects share. The estimate u^k of object k is
+    the hidden state of the GRU's top layer after the last frame.
     """
 
     def __init__(self, convolution: nn.Module, *, hidden_dim: int, gru_layers: int) -> None:
         """Build the estimator.
 
         Args:
-            convolution: From nodes (what is seen of objects in one frame) and a graph to features of width `hidden_dim`.
+            convolution: Maps nodes (objects in one frame) and a graph to features of width `hidden_dim`.
             hidden_dim: Width of the GRU, and of U.
             gru_layers: Layers of the GRU.
         """
@@ -87,32 +87,32 @@ class ConfounderEstimator(nn.Module):
     def forward(
         self, observed: Float[Tensor, "batch time slots node"], presence: Bool[Tensor, "batch slots"]
     ) -> Float[Tensor, "batch slots hidden"]:
-        """From what is seen in AB, positions first of all, to U."""
+        """Return U, given the positions in AB (and object types and poses, where enabled)."""
         batch, time, slots, _ = observed.shape
-        graph = hear_mean_of_others(presence.repeat_interleave(time, dim=0), observed.dtype)
+        graph = mean_graph(presence.repeat_interleave(time, dim=0), observed.dtype)
         features = self.convolution(observed.flatten(0, 1), graph)  # all frames at once
-        over_time = features.view(batch, time, slots, -1).transpose(0, 1).flatten(1, 2)  # time, every object, features
+        over_time = features.view(batch, time, slots, -1).transpose(0, 1).flatten(1, 2)  # time, object, features
         _, final = self.gru(over_time)
-        top_layer = final[-1]
-        return top_layer.view(batch, slots, -1)
+        return final[-1].view(batch, slots, -1)
 
 
-MakeConvolution = Callable[[int], nn.Module]  # from the width of a node to a graph convolution, or what replaces it
+MakeConvolution = Callable[[int], nn.Module]  # width of a node -> a graph convolution, or its replacement `SlotMLP`
 
 
 def gate(stable_logit: Float[Tensor, "*any"], temperature: float) -> Float[Tensor, "*any"]:
-    """σ((1 - s)/λ): the share of its displacement that an object makes (paper Sec. 4.2).
+    """Return the gate σ((1 - s)/λ), by which displacements are multiplied (paper Sec. 4.2).
 
-    s is a logit, not a probability. The gate is half open at s = 1, as the paper has it. Whether an object is said to be
-    stable is another matter: that is decided at s = 0.
+    s is a logit, not a probability. As in the paper, the gate is half open at s = 1. The predicted class (stable or not)
+    uses the threshold s = 0 instead.
     """
     return torch.sigmoid((1 - stable_logit) / temperature)
 
 
 class Rollout(nn.Module):
-    """Step by step, each fed by the one before: o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t.
+    """Autoregressive decoder (paper Sec. 4.2): o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t.
 
-    The GRU over the steps is ψ in the paper's appendix. It takes one step at a time, because each needs the one before.
+    The GRU over the steps is ψ in the paper's appendix. It runs one step at a time, because each step depends on the
+    previous one.
     """
 
     def __init__(
@@ -125,15 +125,15 @@ class Rollout(nn.Module):
         temperature: float,
         gating: Gating,
     ) -> None:
-        """Build the networks of stability and of displacement.
+        """Build the networks of stability and of displacement, each with its own graph convolution.
 
         Args:
-            make_convolution: Builds a graph convolution; both networks have one.
+            make_convolution: Builds a graph convolution for nodes of a given width.
             input_dim: Width of a node [o, u].
             hidden_dim: Width of all layers.
-            gru_layers: GRU cells on top of each other.
+            gru_layers: Stacked GRU cells.
             temperature: λ of the gate.
-            gating: Whether stability is decided at every step, or once from C.
+            gating: When stability is predicted.
         """
         super().__init__()
         self.temperature, self.gating = temperature, gating
@@ -154,14 +154,14 @@ class Rollout(nn.Module):
 
         Args:
             initial: Positions in C, metres.
-            u: What is known of every object beside its position.
+            u: Constant features of every object.
             presence: Which slots hold an object.
             num_steps: Frames of D to predict.
 
         Returns:
             Positions, and stability logits.
         """
-        graph = hear_mean_of_others(presence, initial.dtype)
+        graph = mean_graph(presence, initial.dtype)
         position, positions, logits = initial, [], []
         hidden: list[Tensor | None] = [None] * len(self.cells)  # None is zero
         for step in range(num_steps):
@@ -179,9 +179,9 @@ class Rollout(nn.Module):
 
 
 class SingleStep(nn.Module):
-    """All steps at once, without recurrence (paper Table 6 left): o_t = o_0 + σ((1 - s_t)/λ) Δ_t.
+    """Decoder of all steps at once, without recurrence (paper Table 6 left): o_t = o_0 + σ((1 - s_t)/λ) Δ_t.
 
-    Here Δ_t is the way from C, not from the step before.
+    Here Δ_t is the displacement from C, not from the previous step.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class SingleStep(nn.Module):
         """Build the networks of stability and of displacement.
 
         Args:
-            make_convolution: Builds a graph convolution; both networks have one.
+            make_convolution: Builds a graph convolution for nodes of a given width.
             input_dim: Width of a node [o, u].
             hidden_dim: Width of all layers.
             temperature: λ of the gate.
@@ -210,8 +210,8 @@ class SingleStep(nn.Module):
         presence: Bool[Tensor, "batch slots"],
         num_steps: int,
     ) -> tuple[Float[Tensor, "batch steps slots 3"], Float[Tensor, "batch steps slots"]]:
-        """Predict D; arguments and results as of `Rollout.forward`."""
-        graph, nodes = hear_mean_of_others(presence, initial.dtype), torch.cat([initial, u], dim=-1)
+        """Predict D, with arguments and results as in `Rollout.forward`."""
+        graph, nodes = mean_graph(presence, initial.dtype), torch.cat([initial, u], dim=-1)
         logits = self.to_stable_logits(self.stability(nodes, graph))  # batch slots steps
         displacement = self.to_displacements(self.dynamics(nodes, graph)).unflatten(-1, (num_steps, 3))
         position = initial[:, :, None] + gate(logits, self.temperature)[..., None] * displacement
@@ -221,11 +221,11 @@ class SingleStep(nn.Module):
 class CoPhyNet(nn.Module):
     """The counterfactual predictor and its ablations.
 
-    With graph convolutions, CoPhyNet takes any number of objects in any order. The ablation `mlp` is tied to the slots,
-    the ablation `single_step` to the number of frames.
+    With graph convolutions, CoPhyNet takes any number of objects in any order. The ablation `mlp` needs a fixed number
+    and order of slots, the ablation `single_step` a fixed number of frames.
 
     Attributes:
-        estimate_dim: Width of U; 0 where none is estimated.
+        estimate_dim: Width of U; 0 if nothing is estimated.
     """
 
     def __init__(
@@ -251,61 +251,87 @@ class CoPhyNet(nn.Module):
             hidden_dim: Width of f, g, both GRUs and U (paper, appendix).
             gru_layers: Layers of both GRUs.
             edge_layers: Linear layers of f, at least 2.
-            node_layers: Linear layers of g.
+            node_layers: Linear layers of g, at least 2.
             temperature: λ of the gate.
-            confounders: Where they come from: a value of `ConfounderSource`.
-            gating: When stability is decided: a value of `Gating`.
-            interaction: How objects hear of each other: a value of `Interaction`.
+            confounders: Source of the confounders: a value of `ConfounderSource`.
+            gating: When stability is predicted: a value of `Gating`.
+            interaction: How objects interact: a value of `Interaction`.
             decoding: How D is predicted: a value of `Decoding`.
-            object_type: Whether it sees what each object is.
-            pose: Whether it sees how each object is turned at t = 0.
-            num_frames: T, needed where decoding is `single_step`.
-            slots: Names of the colour slots, needed where interaction is `mlp`.
+            object_type: Whether the model sees the type of each object.
+            pose: Whether the model sees the orientation of each object at t = 0.
+            num_frames: T, needed for `single_step`.
+            slots: Names of the colour slots, needed for `mlp`.
+
+        Raises:
+            CophyError: An argument is out of its range, or missing.
         """
         super().__init__()
-        self.source, self.interaction = ConfounderSource(confounders), Interaction(interaction)
+        check_at_least(1, hidden_dim=hidden_dim, gru_layers=gru_layers)
+        check_at_least(2, edge_layers=edge_layers, node_layers=node_layers)
+        check_positive(temperature=temperature)
+        self.source = parse_option(ConfounderSource, "confounders", confounders)
+        self.interaction = parse_option(Interaction, "interaction", interaction)
+        gating_option, decoding_option = (
+            parse_option(Gating, "gating", gating),
+            parse_option(Decoding, "decoding", decoding),
+        )
         self.appearance = Appearance(object_type, pose)
-        seen_dim = 3 + self.appearance.width
+        position_dim = 3 + self.appearance.width
 
         def make_convolution(input_dim: int) -> nn.Module:
-            if self.interaction is Interaction.mlp:
-                assert slots is not None
-                return SlotMLP(input_dim, hidden_dim, layers=edge_layers, num_slots=len(slots))
-            return GraphConvolution(input_dim, hidden_dim, edge_layers=edge_layers, node_layers=node_layers)
+            if self.interaction is Interaction.graph:
+                return GraphConvolution(input_dim, hidden_dim, edge_layers=edge_layers, node_layers=node_layers)
+            if not slots:
+                raise CophyError("model.interaction=mlp needs model.slots, see conf/ablation/mlp.yaml")
+            return SlotMLP(input_dim, hidden_dim, layers=edge_layers, num_slots=len(slots))
 
+        self.estimate_dim = 0
         if self.source is ConfounderSource.estimated:
-            self.estimator = ConfounderEstimator(
-                make_convolution(seen_dim), hidden_dim=hidden_dim, gru_layers=gru_layers
-            )
-        self.estimate_dim = hidden_dim if self.source is ConfounderSource.estimated else 0
-        given_dim = len(CONFOUNDERS) if self.source is ConfounderSource.ground_truth else 0
-        sizes = {"input_dim": seen_dim + self.estimate_dim + given_dim, "hidden_dim": hidden_dim}
+            convolution = make_convolution(position_dim)
+            self.estimator = ConfounderEstimator(convolution, hidden_dim=hidden_dim, gru_layers=gru_layers)
+            self.estimate_dim = hidden_dim
+        true_dim = len(CONFOUNDERS) if self.source is ConfounderSource.ground_truth else 0
+        node_dim = position_dim + self.estimate_dim + true_dim
         self.decoder: nn.Module
-        if Decoding(decoding) is Decoding.single_step:
-            assert num_frames is not None
-            self.decoder = SingleStep(make_convolution, temperature=temperature, num_steps=num_frames - 1, **sizes)
+        if decoding_option is Decoding.single_step:
+            if num_frames is None:
+                raise CophyError(
+                    "model.decoding=single_step needs model.num_frames, see conf/ablation/single_step.yaml"
+                )
+            self.decoder = SingleStep(
+                make_convolution,
+                input_dim=node_dim,
+                hidden_dim=hidden_dim,
+                temperature=temperature,
+                num_steps=num_frames - 1,
+            )
         else:
             self.decoder = Rollout(
-                make_convolution, gru_layers=gru_layers, temperature=temperature, gating=Gating(gating), **sizes
+                make_convolution,
+                input_dim=node_dim,
+                hidden_dim=hidden_dim,
+                gru_layers=gru_layers,
+                temperature=temperature,
+                gating=gating_option,
             )
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Predict D, one step per frame of AB after the first."""
-        if self.interaction is Interaction.mlp:
-            # it has weights of its own for every slot, so slots must stay where they are
+        if self.interaction is Interaction.mlp:  # it has separate weights for every slot, so slots must stay in place
             return self._predict(inputs)
         packed, slots = pack(inputs)
         return unpack(self._predict(packed), slots, inputs.presence.shape[1])
 
     def _predict(self, inputs: Inputs) -> Prediction:
         u = self._confounders(inputs)
-        known = self.appearance.beside(u, inputs)
-        position, stable_logit = self.decoder(inputs.initial, known, inputs.presence, inputs.num_steps)
+        constant = self.appearance.concatenate_to(u, inputs)
+        position, stable_logit = self.decoder(inputs.initial, constant, inputs.presence, inputs.num_steps)
         return Prediction(position, stable_logit, u if self.source is ConfounderSource.estimated else None)
 
     def _confounders(self, inputs: Inputs) -> Float[Tensor, "batch slots u"]:
         if self.source is ConfounderSource.estimated:
-            return self.estimator(self.appearance.beside(inputs.observed, inputs), inputs.observed_presence)
+            observed = self.appearance.concatenate_to(inputs.observed, inputs)
+            return self.estimator(observed, inputs.observed_presence)
         if self.source is ConfounderSource.ground_truth:
             return true_confounders(inputs)
-        return inputs.initial[..., :0]  # nothing: width 0
+        return inputs.initial[..., :0]  # width 0

@@ -1,23 +1,31 @@
-"""Image -> positions and presence of every slot (paper, appendix, Neural de-rendering)."""
+"""De-renderer: from an image to the position and presence of every slot (paper, appendix, Neural de-rendering)."""
 
 from collections.abc import Sequence
+from enum import Enum
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cophy.models.cophynet import Readout
-from cophy.models.layers import mlp
+from cophy.errors import CophyError
+from cophy.models.layers import check_at_least, mlp, parse_option
 
-NUM_APPEARANCE_FEATURES = 15  # of an object, where it is seen
+NUM_APPEARANCE_FEATURES = 15  # per object, read at its place in the image
+
+
+class Readout(Enum):
+    """How positions are read from the maps: from place and appearance (`attention`), or linearly (the paper's)."""
+
+    attention = "attention"
+    linear = "linear"
 
 
 class Derendered(NamedTuple):
-    """What is seen in a frame.
+    """Estimates for a batch of images.
 
     Attributes:
-        position: Metres; values in slots without an object mean nothing.
+        position: Metres; values in slots without an object are meaningless.
         presence_logit: Positive means present.
     """
 
@@ -26,9 +34,9 @@ class Derendered(NamedTuple):
 
 
 class Derenderer(nn.Module):
-    """Three double convolutions with max-pooling between, then a head per slot on its own share of the channels.
+    """Three double convolutions with max-pooling between them, then a head per slot on its own share of the channels.
 
-    Presence is ours: do-operations of the paper remove objects, and its de-renderer does not say so.
+    Presence is our addition: do-operations remove objects, but the paper's de-renderer predicts no presence.
     """
 
     mean: Float[Tensor, "3"]
@@ -42,14 +50,17 @@ class Derenderer(nn.Module):
             resolution: Edge of the images in pixels, a multiple of 4 (paper: 224).
             width: Channels of the first double convolution (paper: 64). The second has twice as many, the third four
                 times as many, rounded up to a multiple of K.
-            readout: How the heads find positions: a value of `Readout`.
+            readout: How the heads read positions: a value of `Readout`.
 
         Raises:
-            ValueError: The resolution is another.
+            CophyError: An argument is out of its range.
         """
         super().__init__()
+        check_at_least(1, width=width)
         if resolution < 8 or resolution % 4:
-            raise ValueError(f"resolution={resolution} is no multiple of 4, at least 8")
+            raise CophyError(f"model.resolution={resolution} must be a multiple of 4 and at least 8")
+        if not slots:
+            raise CophyError("model.slots is empty: a de-renderer needs at least one slot")
         num_slots, self.resolution = len(slots), resolution
         channels = -(-4 * width // num_slots) * num_slots
         self.features = nn.Sequential(
@@ -59,8 +70,8 @@ class Derenderer(nn.Module):
             nn.MaxPool2d(2),
             _double_convolution(2 * width, channels),
         )
-        kind = AttentionReadout if Readout(readout) is Readout.attention else LinearReadout
-        self.heads: nn.Module = kind(channels, num_slots, resolution // 4)
+        is_linear = parse_option(Readout, "readout", readout) is Readout.linear
+        self.heads: nn.Module = (LinearReadout if is_linear else AttentionReadout)(channels, num_slots, resolution // 4)
         self.register_buffer("mean", torch.zeros(3))
         self.register_buffer("deviation", torch.ones(3))
 
@@ -73,15 +84,15 @@ class Derenderer(nn.Module):
         self.deviation.copy_(deviation)
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Derendered:
-        """Find positions and presence in images with values in [0, 1]."""
-        # on a CPU channels last saves half to two thirds of the time
+        """Estimate positions and presence from images with values in [0, 1]."""
+        # on a CPU, channels last saves half to two thirds of the time
         centred = (image - 0.5).contiguous(memory_format=torch.channels_last)
-        found = self.heads(self.features(centred))
-        return Derendered(self.mean + self.deviation * found[..., :3], found[..., 3])
+        output = self.heads(self.features(centred))
+        return Derendered(self.mean + self.deviation * output[..., :3], output[..., 3])
 
 
 class LinearReadout(nn.Module):
-    """The paper's: a double convolution to one map per slot, then a linear layer on all its places."""
+    """The paper's readout: a double convolution to one map per slot, then a linear layer on all its pixels."""
 
     def __init__(self, channels: int, num_slots: int, edge: int) -> None:
         super().__init__()
@@ -90,14 +101,14 @@ class LinearReadout(nn.Module):
         self.bias = nn.Parameter(torch.zeros(num_slots, 4))
 
     def forward(self, features: Float[Tensor, "batch channels edge edge"]) -> Float[Tensor, "batch slots 4"]:
-        """Scaled position, and presence, of every slot."""
+        """Return the scaled position and the presence logit of every slot."""
         return torch.einsum("bkp,kpf->bkf", self.maps(features).flatten(start_dim=2), self.weight) + self.bias
 
 
 class AttentionReadout(nn.Module):
-    """A head says where in the picture its object is, by a softmax over places, and what it looks like there.
+    """Readout by spatial attention: a softmax over the pixels locates the object of a slot and reads its appearance there.
 
-    From both, an MLP finds position and presence. All slots share it, as all are seen by the same camera.
+    From both, an MLP estimates position and presence. All slots share it, because all share the camera.
     """
 
     coordinates: Float[Tensor, "places 2"]
@@ -118,17 +129,17 @@ class AttentionReadout(nn.Module):
         self.normalise = nn.BatchNorm1d(num_slots, affine=False)
         self.sharpness = nn.Parameter(torch.full((num_slots, 1), 3.0))
         self.geometry = mlp(NUM_APPEARANCE_FEATURES + 2, 64, 3, output_dim=4)
-        # objects then spread by about one; on the CPU also for a network without memory (`meta`), where it takes seconds
+        # about unit spread for objects; on the CPU even under torch.device("meta"), where linspace takes seconds
         along = torch.linspace(-5, 5, edge, device="cpu")
         self.register_buffer("coordinates", torch.cartesian_prod(along, along), persistent=False)
 
     def forward(self, features: Float[Tensor, "batch channels edge edge"]) -> Float[Tensor, "batch slots 4"]:
-        """Scaled position, and presence, of every slot."""
+        """Return the scaled position and the presence logit of every slot."""
         maps = self.maps(features).flatten(start_dim=2).unflatten(1, (len(self.sharpness), 1 + NUM_APPEARANCE_FEATURES))
         attention = torch.softmax(self.sharpness * self.normalise(maps[:, :, 0]), dim=-1)
-        where = attention @ self.coordinates
-        what = torch.einsum("bkp,bkfp->bkf", attention, maps[:, :, 1:])
-        return self.geometry(torch.cat([where, what], dim=-1))
+        place = attention @ self.coordinates
+        appearance = torch.einsum("bkp,bkfp->bkf", attention, maps[:, :, 1:])
+        return self.geometry(torch.cat([place, appearance], dim=-1))
 
 
 def _double_convolution(inputs: int, outputs: int, groups: int = 1) -> nn.Sequential:
@@ -136,6 +147,6 @@ def _double_convolution(inputs: int, outputs: int, groups: int = 1) -> nn.Sequen
 
 
 def _convolution(inputs: int, outputs: int, groups: int) -> tuple[nn.Module, ...]:
-    """Convolution, batch normalisation and ReLU."""
+    """Return a convolution, batch normalisation and ReLU."""
     convolution = nn.Conv2d(inputs, outputs, kernel_size=3, padding=1, groups=groups, bias=False)
     return convolution, nn.BatchNorm2d(outputs), nn.ReLU()

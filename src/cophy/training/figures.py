@@ -28,7 +28,7 @@ from cophy.drawing.sheets import REACH, at, grid
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import Renderer
 from cophy.training.predictor import PredictionModule
-from cophy.types import Batch, Prediction, moved, take
+from cophy.types import Batch, Prediction, move_to, take
 
 # TensorBoard has a card for each value, in the order of their names: with these, the first ones are results
 RENAMED = {"val/mse": "mse/val", "test/mse": "mse/test"}
@@ -184,7 +184,7 @@ class PredictionFigures(L.Callback):
         assert isinstance(pl_module, PredictionModule)
         assert isinstance(pl_module.dtype, torch.dtype)
         with torch.no_grad():
-            prediction = pl_module(moved(self.shown, pl_module.device, pl_module.dtype))
+            prediction = pl_module(move_to(self.shown, pl_module.device, pl_module.dtype))
         self.drawn.add(writer, prediction, trainer.global_step)
         if pl_module.standing is not None:
             figure = draw_confusion(pl_module.standing, ("falls", "stands"))
@@ -212,7 +212,7 @@ class DrawnPredictions:
             prediction: Of the experiments.
             step: Of the training, where they are shown.
         """
-        prediction, targets = moved(prediction, torch.device("cpu"), torch.float32), self.shown.targets
+        prediction, targets = move_to(prediction, torch.device("cpu"), torch.float32), self.shown.targets
         initial, predicted, true, presence = (
             tensor.numpy() for tensor in (targets.initial, prediction.position, targets.position, targets.presence)
         )

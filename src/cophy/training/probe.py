@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cophy.training.metrics import over_objects
-from cophy.types import Inputs, Targets, moved, take
+from cophy.types import Inputs, Targets, move_to, take
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +36,7 @@ def estimate(network: nn.Module, inputs: Inputs, *, batch_size: int) -> Float[Te
         U, or None if the network makes none.
     """
     parts, weights = [], next(network.parameters(), torch.zeros(()))
-    inputs = moved(inputs, weights.device, weights.dtype)
+    inputs = move_to(inputs, weights.device, weights.dtype)
     with torch.no_grad():
         for start in range(0, len(inputs), batch_size):
             part = network.eval()(take(inputs, slice(start, start + batch_size)))

@@ -78,11 +78,11 @@ def test_a_scenario_that_is_not_known_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"hidden_dim": -1}, "negative dimension"),
+        ({"hidden_dim": -1}, "model.hidden_dim=-1 must be at least 1"),
         ({"hidden_dim": "wide"}, ""),
         ({"gru_layers": 10**9}, "model.gru_layers=1000000000 is more than 16384"),
-        ({"gating": "often"}, "'often' is not a valid Gating"),
-        ({"interaction": "mlp"}, "AssertionError"),
+        ({"gating": "often"}, "model.gating=often must be one of per_step, static"),
+        ({"interaction": "mlp"}, "model.interaction=mlp needs model.slots"),
         ({"more": 1}, "unexpected keyword argument 'more'"),
     ],
 )
