@@ -1,4 +1,4 @@
-"""Shared fixtures: scenarios as configured, one simulator, tiny datasets made once per session."""
+"""Shared fixtures: scenarios as configured, one simulator, and tiny data and trained runs made once per session."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -42,16 +42,52 @@ def simulator() -> Iterator[Simulator]:
         yield simulator
 
 
-@pytest.fixture(scope="session")
-def tiny_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data directory with one tiny dataset per scenario, shared by parallel test processes."""
+def once_per_session(tmp_path_factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """Return a directory that `make` fills once, for all parallel test processes. Tests only read it."""
     session = tmp_path_factory.getbasetemp()
-    directory = (session.parent if "PYTEST_XDIST_WORKER" in os.environ else session) / "tiny-data"
+    directory = (session.parent if "PYTEST_XDIST_WORKER" in os.environ else session) / name
     directory.mkdir(exist_ok=True)
     with FileLock(directory / ".session.lock"):
+        if not (directory / ".complete").exists():
+            make(directory)
+            (directory / ".complete").touch()
+    return directory
+
+
+@pytest.fixture(scope="session")
+def tiny_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data directory with one tiny dataset per scenario."""
+
+    def generate(directory: Path) -> None:
         for name in SCENARIOS:
             generation.ensure(States(tiny_spec(name), directory), workers=2)
-    return directory
+
+    return once_per_session(tmp_path_factory, "tiny-data", generate)
+
+
+@pytest.fixture(scope="session")
+def trained_run(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of a finished run of CoPhyNet on tiny collisions, one epoch with all its figures."""
+    from tests.commands import train
+
+    def make(directory: Path) -> None:
+        train("scenario=collision", "logger=tensorboard", f"hydra.run.dir={directory}", data=tiny_data)
+
+    return once_per_session(tmp_path_factory, "trained-run", make)
+
+
+@pytest.fixture(scope="session")
+def trained_derenderer(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of a finished run of a small de-renderer on tiny collisions at 16 × 16."""
+    from tests.commands import train
+
+    network = ("model=derenderer", "model.resolution=16", "model.width=2", "model.readout=linear")
+    training = ("render.resolution=16", "num_images=200", "trainer.max_epochs=2", "logger=tensorboard")
+
+    def make(directory: Path) -> None:
+        train("scenario=collision", *network, *training, f"hydra.run.dir={directory}", data=tiny_data)
+
+    return once_per_session(tmp_path_factory, "trained-derenderer", make)
 
 
 def tiny_spec(name: str, num_objects: int | None = None, **size: Any) -> DatasetSpec:
