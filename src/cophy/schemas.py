@@ -22,7 +22,7 @@ from cophy.models.cophynet import ConfounderSource, Decoding, Gating, Interactio
 from cophy.models.derenderer import Readout
 from cophy.scenario import Balls, Blocktower, Collision, Scenario
 from cophy.scenario.rendering import RenderSettings
-from cophy.study.settings import Limits, StudySettings
+from cophy.study.plan import Limits, StudySettings
 from cophy.training.settings import Training
 
 

@@ -1,4 +1,4 @@
-"""A study on the tiny towers, with pictures of 64 × 64, and people who take it over HTTP."""
+"""A study on the tiny block towers with images of 64 × 64, and browsers that take part in it over HTTP."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -6,22 +6,24 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from httpx import Response
 from starlette.testclient import TestClient
 
 from cophy.config import settings
 from cophy.dataset.states import States
+from cophy.study import experiments as experiments_module
 from cophy.study.answers import PERSON, AnswerStore
-from cophy.study.server import OpenStudy, open_study
-from cophy.study.settings import Limits, StudySettings
+from cophy.study.experiments import StudyExperiments
+from cophy.study.plan import Limits, StudySettings
+from cophy.study.server import make_app, welcome_text
+from cophy.study.sessions import Sessions
 from tests.conftest import tiny_spec
 
 GENEROUS = Limits(requests_per_second=10_000, people_per_minute=10_000)
 SMALL = StudySettings(seed=0, num_pairs=2, num_assignments=1, seconds=10.0, tolerance_s=3.0, resolution=64)
 
 
-class Time:
-    """A clock that stands still until it is moved."""
+class Clock:
+    """A clock that stands still until a test moves it."""
 
     def __init__(self) -> None:
         self.now = 1_000_000.0
@@ -32,67 +34,71 @@ class Time:
 
 @dataclass
 class Site:
-    """A study, its file, and its time."""
+    """A study, its answer file and its clock."""
 
-    study: OpenStudy
-    store: AnswerStore
-    time: Time
+    sessions: Sessions
+    path: Path
+    clock: Clock = field(default_factory=Clock)
     limits: Limits = field(default_factory=lambda: GENEROUS)
 
-    def visitor(self, **options: Any) -> TestClient:
-        """A browser of its own."""
-        return TestClient(self.study.app(None, self.limits), **options)
+    def __post_init__(self) -> None:
+        self.sessions.now = self.clock
+
+    def browser(self, **options: Any) -> TestClient:
+        """Return a browser without a session."""
+        welcome = welcome_text(None, self.sessions.settings)
+        return TestClient(make_app(self.sessions, welcome, self.limits), **options)
 
     def participant(self) -> TestClient:
-        """One who agreed."""
-        browser = self.visitor()
+        """Return a browser whose participant has agreed."""
+        browser = self.browser()
         assert browser.post("/api/consent", json={"agreed": True}).status_code == 200
         return browser
 
+    def begun(self) -> tuple[TestClient, dict[str, Any]]:
+        """Return a browser in which the clock of the first task runs, and a valid answer to the task."""
+        browser = self.participant()
+        answer = answer_to(browser.get("/api/place").json())
+        browser.post("/api/assignments/0/begin", json={})
+        return browser, answer
+
     def rows(self, query: str) -> list[tuple[Any, ...]]:
-        with self.store.transaction() as db:
+        """Return the rows of the answer file that a query selects."""
+        with self.sessions.store.transaction() as db:
             return [tuple(row) for row in db.execute(query)]
 
 
 @pytest.fixture(scope="session")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where pictures are kept, so that they are drawn once."""
-    return tmp_path_factory.mktemp("study")
-
-
-def opened(path: Path, data: Path, pictures: Path, time: Time) -> Site:
-    store = AnswerStore(path)
-    split = settings("study").split
-    study = open_study(store, States(tiny_spec("blocktower"), data), split, SMALL, pictures, kind=PERSON, workers=2)
-    study.sessions.now = time
-    return Site(study, store, time)
+def experiments(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> StudyExperiments:
+    """The experiments of the small study, with images that are drawn once, in this process."""
+    states, split = States(tiny_spec("blocktower"), tiny_data), settings("study").split
+    study = StudyExperiments(states, split, SMALL, tmp_path_factory.mktemp("study"))
+    study.image_directory.mkdir(parents=True)
+    arrays = {name: study.arrays[name][study.shown] for name in experiments_module.RENDERED_ARRAYS}
+    stems = [study.image_directory / str(experiment) for experiment in study.shown]
+    experiments_module._draw(study.scenario, SMALL.resolution, arrays, stems)
+    return study
 
 
 @pytest.fixture
-def site(tiny_data: Path, pictures: Path, tmp_path: Path) -> Iterator[Site]:
-    found = opened(tmp_path / "answers.sqlite", tiny_data, pictures, Time())
-    yield found
-    found.store.close()
+def site(experiments: StudyExperiments, tmp_path: Path) -> Iterator[Site]:
+    path = tmp_path / "answers.sqlite"
+    store = AnswerStore(path)
+    yield Site(Sessions(store, experiments, PERSON), path)
+    store.close()
 
 
-def answer_to(place: dict[str, Any], **changed: Any) -> dict[str, Any]:
-    """Clicks in the middle of the picture on every object."""
-    clicks = [{"slot": each["slot"], "x": 31.5, "y": 20, "at_ms": 900} for each in place["objects"]]
+def answer_to(place: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    """Return an answer with a click in the image on every object."""
+    clicks = [{"slot": item["slot"], "x": 31.5, "y": 20, "at_ms": 900} for item in place["objects"]]
     content = {"clicks": clicks, "undone": 0, "names_shown": False, "input": "mouse", "window": [800, 600]}
-    return content | changed
+    return content | changes
 
 
-def take_one(browser: TestClient) -> dict[str, Any]:
-    """Answer what is next; what the server says to it."""
+def take_task(browser: TestClient, **changes: Any) -> dict[str, Any]:
+    """Answer the current task and return what the server responds."""
     place = browser.get("/api/place").json()
     browser.post(f"/api/assignments/{place['position']}/begin", json={})
-    response = browser.post(f"/api/assignments/{place['position']}/answer", json=answer_to(place))
+    response = browser.post(f"/api/assignments/{place['position']}/answer", json=answer_to(place, **changes))
     assert response.status_code == 200, response.text
     return dict(response.json())
-
-
-def has_its_headers(response: Response) -> bool:
-    headers = response.headers
-    policy = headers["content-security-policy"]
-    safe = "script-src 'self';" in policy and "default-src 'none'" in policy
-    return safe and headers["cache-control"] == "no-store" and headers["x-content-type-options"] == "nosniff"

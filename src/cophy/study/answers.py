@@ -1,10 +1,8 @@
-"""One SQLite file with participants, answers and clicks.
+"""Answers of participants: their checks, and the SQLite file that stores them.
 
-What a person says of one experiment, checked before anything is stored.
-The tables of a file of answers, and whether a file is one: docs/study.md explains them.
+docs/study.md explains the tables of the file.
 """
 
-import math
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -13,21 +11,31 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from cophy.atomic_files import check_space
 from cophy.errors import CophyError
 
-INPUTS = ("mouse", "touch", "keyboard", "pen", "none")
+ANSWERS, SIMULATED = "answers.sqlite", "simulated.sqlite"  # files of human and of simulated participants
+PERSON = "person"  # kind of all participants who are not simulated
+INPUT_DEVICES = ("mouse", "touch", "keyboard", "pen", "none")
 MAX_UNDONE = 1000
 MAX_WINDOW_PX = 20_000
 
 
 class BadAnswerError(ValueError):
-    """What a browser sent is no answer."""
+    """A browser sent something that is not a valid answer."""
 
 
 @dataclass(frozen=True)
 class Click:
-    """Where a person says that an object ends: pixels of the picture; at_ms after the clock began."""
+    """Position where a participant expects an object to end.
+
+    Attributes:
+        x: Pixels of the image.
+        y: Pixels of the image.
+        at_ms: Milliseconds after the clock began.
+    """
 
     x: float
     y: float
@@ -36,10 +44,14 @@ class Click:
 
 @dataclass(frozen=True)
 class Answer:
-    """Of one assignment.
+    """Answer to one task.
 
-    clicks: by slot; a slot that was not clicked is absent. undone: clicks that were taken back. names_shown: whether the
-    person let the names be written on the objects. input: of the last click. window: width and height, CSS pixels.
+    Attributes:
+        clicks: By slot; slots that were not clicked are absent.
+        undone: Number of clicks that were undone.
+        names_shown: Whether the participant let the names be written on the objects.
+        input: Device of the last click, one of INPUT_DEVICES.
+        window: Width and height of the browser's window, CSS pixels.
     """
 
     clicks: dict[int, Click]
@@ -49,54 +61,50 @@ class Answer:
     window: tuple[int, int]
 
 
-def parse(body: Any, *, slots: set[int], resolution: int, last_ms: int) -> Answer:
-    """The answer in what a browser sent.
+def parse_answer(body: Any, *, slots: set[int], resolution: int, last_ms: int) -> Answer:
+    """Check what a browser sent and return it as an answer.
 
     Args:
         body: Decoded JSON.
-        slots: Of the objects in C.
-        resolution: Of the picture; clicks have to be inside.
-        last_ms: When the last click may be.
+        slots: Slots of the objects in C.
+        resolution: Width and height of the image, pixels; clicks have to be inside.
+        last_ms: Latest time of a click.
 
     Raises:
-        BadAnswerError: It is none.
+        BadAnswerError: It is not an answer.
     """
     if not isinstance(body, dict) or set(body) != {"clicks", "undone", "names_shown", "input", "window"}:
         raise BadAnswerError("not the fields of an answer")
     if not isinstance(body["clicks"], list) or len(body["clicks"]) > len(slots):
         raise BadAnswerError("clicks: at most one per object")
-    clicks = dict(_click(each, slots, resolution, last_ms) for each in body["clicks"])
+    clicks = dict(_parse_click(click, slots, resolution, last_ms) for click in body["clicks"])
     if len(clicks) != len(body["clicks"]):
         raise BadAnswerError("clicks: two for one object")
-    if not isinstance(body["names_shown"], bool) or body["input"] not in INPUTS:
+    if not isinstance(body["names_shown"], bool) or body["input"] not in INPUT_DEVICES:
         raise BadAnswerError("names_shown or input")
-    window = body["window"]
-    if not isinstance(window, list) or len(window) != 2:
+    if not isinstance(body["window"], list) or len(body["window"]) != 2:
         raise BadAnswerError("window: width and height")
-    width, height = (int(_number(side, 1, MAX_WINDOW_PX, whole=True)) for side in window)
-    undone = int(_number(body["undone"], 0, MAX_UNDONE, whole=True))
+    width, height = (int(_check_number(side, 1, MAX_WINDOW_PX, int)) for side in body["window"])
+    undone = int(_check_number(body["undone"], 0, MAX_UNDONE, int))
     return Answer(clicks, undone, body["names_shown"], body["input"], (width, height))
 
 
-def _click(body: Any, slots: set[int], resolution: int, last_ms: int) -> tuple[int, Click]:
+def _parse_click(body: Any, slots: set[int], resolution: int, last_ms: int) -> tuple[int, Click]:
     if not isinstance(body, dict) or set(body) != {"slot", "x", "y", "at_ms"}:
         raise BadAnswerError("not the fields of a click")
-    slot = int(_number(body["slot"], 0, 1000, whole=True))
+    slot = int(_check_number(body["slot"], 0, max(slots), int))
     if slot not in slots:
-        raise BadAnswerError("slot: no such object in this picture")
-    x, y = (_number(body[axis], 0, resolution) for axis in "xy")
-    return slot, Click(x, y, int(_number(body["at_ms"], 0, last_ms, whole=True)))
+        raise BadAnswerError("slot: there is no such object in this image")
+    x, y = (_check_number(body[axis], 0, resolution) for axis in "xy")
+    return slot, Click(x, y, int(_check_number(body["at_ms"], 0, last_ms, int)))
 
 
-def _number(value: Any, smallest: float, largest: float, *, whole: bool = False) -> float:
-    if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
-        raise BadAnswerError("not a number")
-    if not smallest <= value <= largest or not math.isfinite(value):
-        raise BadAnswerError("a number out of its range")
+def _check_number(value: Any, low: float, high: float, kinds: Any = (int, float)) -> float:
+    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:  # NaN is not between
+        raise BadAnswerError("a number is missing or out of its range")
     return float(value)
 
 
-ANSWERS, SIMULATED = "answers.sqlite", "simulated.sqlite"  # names of files: of people, and of simulated participants
 SCHEMA_VERSION = 1
 SCHEMA = """
 CREATE TABLE studies (
@@ -120,96 +128,48 @@ CREATE TABLE clicks (
     PRIMARY KEY (participant, position, slot), FOREIGN KEY (participant, position) REFERENCES answers
 ) STRICT;
 """
-# what the tables of a file are; SQLite checks the types of a strict one
-TABLES = """
+# names and types of tables and columns; SQLite checks the types of values in strict tables
+_COLUMNS = """
 SELECT t.name, t.type, t.strict, c.name, c.type FROM pragma_table_list t JOIN pragma_table_info(t.name) c
 """
 
 
-def damaged(path: Path, why: object) -> CophyError:
-    """The error of a file that cannot be used."""
-    said = f"{path} is no file of answers, or damaged ({' '.join(str(why).split())})"
-    return CophyError(f"{said}: move it away, or put a sound copy in its place")
-
-
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """What SQLite cannot do inside is said with the name of the file.
-
-    Raises:
-        CophyError: The file is none of answers, damaged, or in use.
-        OSError: The disk is full.
-    """
-    if path.exists() and not path.is_file():
-        raise damaged(path, "it is no plain file")
-    try:
-        yield
-    except (sqlite3.Error, UnicodeDecodeError) as error:  # the second where it names what is no text
-        check_space(path)
-        if "locked" in str(error):
-            raise CophyError(f"{path} is in use by another program: end that, or try again") from error
-        raise damaged(path, error) from error
-
-
-def check(connection: sqlite3.Connection, path: Path) -> None:
-    """Nothing is read from a file, or written to it, that is not sound, or whose tables are others.
-
-    Raises:
-        CophyError: It is such a one.
-        sqlite3.Error: Likewise.
-    """
-    (version,) = connection.execute("PRAGMA user_version").fetchone()
-    if version not in (0, SCHEMA_VERSION):
-        raise CophyError(f"{path} is of schema {version}, this program writes {SCHEMA_VERSION}: name another folder")
-    with closing(sqlite3.connect(":memory:")) as ours:
-        ours.executescript(SCHEMA)
-        missing = set(ours.execute(TABLES)) - {tuple(row) for row in connection.execute(TABLES)}
-    if missing:
-        raise damaged(path, f"its table {min(missing)[0]} is not as study.py makes it")
-    (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    if found != "ok":
-        raise damaged(path, found)
-
-
-def remove_journal(path: Path) -> None:
-    """Of a file that is about to be replaced: SQLite would take it for the new one's."""
-    for suffix in ("-wal", "-shm"):
-        path.with_name(f"{path.name}{suffix}").unlink(missing_ok=True)
-
-
-PERSON = "person"  # the kind of all who are not simulated
-
-
 class AnswerStore:
-    """The file, opened for the one process that writes to it. Its connection is shared by threads, one at a time."""
+    """An answer file that is open in the one process that writes to it. Threads share its connection."""
 
     def __init__(self, path: Path) -> None:
+        """Open the file, or create it.
+
+        Raises:
+            CophyError: It is damaged, not an answer file, in use or not writable.
+            OSError: The disk is full.
+        """
         path.parent.mkdir(parents=True, exist_ok=True)
         self._lock = threading.RLock()
-        with naming(path):
+        with naming_file(path):
             self._connection = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=30)
             try:
-                self._begin(path)
+                self._prepare(path)
             except BaseException:
                 self._connection.close()
                 raise
 
-    def _begin(self, path: Path) -> None:
+    def _prepare(self, path: Path) -> None:
         self._connection.row_factory = sqlite3.Row
         (num_tables,) = self._connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()
         if num_tables > 0:
-            check(self._connection, path)
+            _check_tables(self._connection, path)
         for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
             self._connection.execute(f"PRAGMA {pragma}")
         if num_tables == 0:
-            with self.transaction() as connection:
+            with self.transaction() as db:
                 for statement in SCHEMA.split(";\n"):
-                    connection.execute(statement)
-                connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+                    db.execute(statement)
+                db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """All that is written inside is on disk afterwards, or none of it."""
+        """Write everything that is written inside to disk at the end, or nothing of it."""
         with self._lock:
             self._connection.execute("BEGIN IMMEDIATE")
             try:
@@ -224,3 +184,88 @@ class AnswerStore:
         """Close the file."""
         with self._lock:
             self._connection.close()
+
+
+@contextmanager
+def open_answers(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open an answer file to read it, also while a study writes to it.
+
+    Raises:
+        CophyError: It is damaged, not an answer file, in use or not readable.
+    """
+    with naming_file(path), closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as db:
+        _check_tables(db, path)
+        yield db
+
+
+def _check_tables(db: sqlite3.Connection, path: Path) -> None:
+    """Check integrity and schema of an answer file."""
+    (version,) = db.execute("PRAGMA user_version").fetchone()
+    if version not in (0, SCHEMA_VERSION):
+        raise CophyError(
+            f"{path} has schema version {version}, but this program writes version {SCHEMA_VERSION}: "
+            "set another folder with directory="
+        )
+    with closing(sqlite3.connect(":memory:")) as expected:
+        expected.executescript(SCHEMA)
+        missing = set(expected.execute(_COLUMNS)) - {tuple(row) for row in db.execute(_COLUMNS)}
+    if missing:
+        raise damaged_error(path, f"table {min(missing)[0]} has other columns")
+    (result,) = db.execute("PRAGMA quick_check(1)").fetchone()
+    if result != "ok":
+        raise damaged_error(path, result)
+
+
+def damaged_error(path: Path, reason: object) -> CophyError:
+    """Return the error of a file that cannot be used."""
+    return CophyError(
+        f"{path} is damaged or not an answer file ({' '.join(str(reason).split())}): "
+        "move it away, or replace it with an intact copy"
+    )
+
+
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Name the answer file in errors of SQLite that are due to the file and not to the program.
+
+    Raises:
+        CophyError: The file is damaged, not an answer file, in use, or cannot be opened.
+        OSError: The disk is full.
+    """
+    if path.exists() and not path.is_file():
+        raise damaged_error(path, "not a regular file")
+    try:
+        yield
+    except UnicodeDecodeError as error:
+        raise damaged_error(path, error) from error
+    except sqlite3.DatabaseError as error:
+        check_space(path)
+        name = getattr(error, "sqlite_errorname", "")
+        if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+            raise CophyError(f"{path} is in use by another program: end it, or try again") from error
+        if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")) or "Could not decode" in str(error):
+            raise damaged_error(path, error) from error
+        if name.startswith(("SQLITE_CANTOPEN", "SQLITE_IOERR", "SQLITE_PERM", "SQLITE_READONLY")):
+            raise CophyError(f"{path}: {error}; check the permissions of the file and its folder") from error
+        raise
+
+
+@contextmanager
+def exclusive(path: Path) -> Iterator[None]:
+    """Lock an answer file, since two processes that write to it would each number the participants.
+
+    Raises:
+        CophyError: Another process holds the lock.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(f"{path}.lock", timeout=0):
+            yield
+    except Timeout:
+        raise CophyError(f"{path} is being written by another process: set another folder with directory=") from None
+
+
+def remove_journal(path: Path) -> None:
+    """Delete the journal of a file that is about to be replaced: SQLite would apply it to the new file."""
+    for suffix in ("-wal", "-shm"):
+        path.with_name(f"{path.name}{suffix}").unlink(missing_ok=True)

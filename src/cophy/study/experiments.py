@@ -1,50 +1,136 @@
-"""What C shows of every object, and where objects end, in pixels of the study's pictures.
-
-The experiments of a study: which are shown, to whom, and how the study is called.
-"""
+"""The experiments of a study, where objects are in its images, and the files that browsers show: images of C, clips of AB."""
 
 import json
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from tqdm import tqdm
 
+from cophy.atomic_files import appearing_whole, check_space, without_leftovers
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import States
+from cophy.drawing.overview import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
-from cophy.study.sessions import Assignment, assignments_of, chosen_pairs, practice
-from cophy.study.settings import SETTINGS, StudySettings
+from cophy.scenario.rendering import Renderer
+from cophy.study.plan import SETTINGS, StudySettings, StudyTask, plan_tasks, practice_tasks, select_pairs
+from cophy.workers import begin_worker, ending_workers
+
+AB, CD = 0, 1  # index of the sequence in arrays
+IMAGE, CLIP = "c.png", "ab.webm"  # ends of file names
+CODEC = "VP90"  # VP9 4:2:0 in WebM, which all browsers play; OpenCV's wheel contains the encoder
+RENDERED_ARRAYS = ("states", "presence", "shape", "background_seed")
+
+Positions = dict[int, tuple[float, float]]  # slot -> x, y in pixels
+
+
+class Scenes:
+    """Objects of a dataset's experiments in the images of the camera."""
+
+    def __init__(self, scenario: Scenario, arrays: dict[str, np.ndarray], resolution: int) -> None:
+        """Project the experiments of `arrays` (see `States.load`) to square images of `resolution` pixels."""
+        self.scenario, self.resolution, self._arrays = scenario, resolution, arrays
+
+    def __len__(self) -> int:
+        return len(self._arrays["presence"])
+
+    def slots(self, experiment: int) -> set[int]:
+        """Return the slots of the objects in C."""
+        return set(np.flatnonzero(self._arrays["presence"][experiment, CD]).tolist())
+
+    def objects(self, experiment: int) -> list[dict[str, Any]]:
+        """Return slot, name, color and position in the image (`at`) of the objects in C, the lowest object first."""
+        pixels = self._project(experiment, CD, 0)
+        height = self._arrays["states"][experiment, CD, 0, :, 2]
+        names = list(self.scenario.colors.items())
+        return [
+            {"slot": slot, "name": names[slot][0], "color": names[slot][1], "at": pixels[slot].round(1).tolist()}
+            for slot in sorted(self.slots(experiment), key=lambda slot: (height[slot], slot))
+        ]
+
+    def starts(self, experiment: int) -> Positions:
+        """Return the positions of the objects in C."""
+        return self._by_slot(experiment, self._project(experiment, CD, 0))
+
+    def ends(self, experiment: int) -> Positions:
+        """Return the positions of the objects at the end of D; they are sent only after an answer to a practice task."""
+        return self._by_slot(experiment, self._project(experiment, CD, -1))
+
+    def moved_as_in_ab(self, experiment: int) -> Positions:
+        """Return where the objects of C would end if they moved, in the image, as in AB."""
+        moved = self._project(experiment, AB, -1) - self._project(experiment, AB, 0)
+        return self._by_slot(experiment, self._project(experiment, CD, 0) + moved)
+
+    def _by_slot(self, experiment: int, pixels: np.ndarray) -> Positions:
+        return {slot: (float(pixels[slot][0]), float(pixels[slot][1])) for slot in sorted(self.slots(experiment))}
+
+    def _project(self, experiment: int, sequence: int, frame: int) -> np.ndarray:
+        """(slot, 2) pixels at a frame of AB or CD."""
+        states = self._arrays["states"][experiment, sequence, :: self.scenario.clock.states_per_frame]
+        return self.scenario.camera.project(states[frame, :, :3], self.resolution)
+
+
+def image_directory(directory: Path, scenario: str, data: str, resolution: int) -> Path:
+    """Return the folder of the images of a study.
+
+    Args:
+        directory: Folder of the study.
+        scenario: Name of the scenario.
+        data: Id of the dataset.
+        resolution: Width and height of the images, pixels.
+    """
+    return directory / "pictures" / f"{scenario}-{data}-{resolution}"
 
 
 class StudyExperiments:
-    """Twin pairs of the test split that participants see, and pairs of the validation split for practice."""
+    """Twin pairs of the test split that participants see, and pairs of the validation split for practice.
 
-    def __init__(self, states: States, split: Split, settings: StudySettings) -> None:
-        self.states, self.settings, self.scenario = states, settings, states.spec.scenario
+    Only C's first frame and AB are drawn, never D.
+    """
+
+    def __init__(self, states: States, split: Split, settings: StudySettings, directory: Path) -> None:
+        """Select the experiments.
+
+        Args:
+            states: The dataset, generated.
+            split: Split whose test half is shown.
+            settings: Settings of the study.
+            directory: Folder of the study.
+
+        Raises:
+            CophyError: The dataset has too few twin pairs.
+        """
+        self.states, self.split, self.settings, self.directory = states, split, settings, directory
+        self.scenario = states.spec.scenario
         self.arrays = states.load()
         self.scenes = Scenes(self.scenario, self.arrays, settings.resolution)
-        shown = self._pairs(split.test.select(self.arrays), "test")
+        test_pairs = self._select(split, "test")
         cells = self.arrays["cell"].reshape(-1, 2)
-        self.pairs = chosen_pairs(shown, cells[shown], settings)
+        self.pairs = select_pairs(test_pairs, cells[test_pairs], settings)
         self.kinds = cells[self.pairs]
-        others = self._pairs(split.test.select(self.arrays), "val")
-        if len(others) < len(SETTINGS):
+        practice_pairs = self._select(split, "val")
+        if len(practice_pairs) < len(SETTINGS):
             raise CophyError(f"the validation split has no {len(SETTINGS)} twin pairs for practice: {states.remedy}")
-        self.practice = practice(others, settings)
+        self.practice = practice_tasks(practice_pairs, settings)
         self.study_id = settings.study_id(f"{self.scenario.name}/{states.id}", split.name)
-        self._split = split.name
+        self.image_directory = image_directory(directory, self.scenario.name, states.id, settings.resolution)
 
-    def _pairs(self, selected: np.ndarray, split: str) -> np.ndarray:
-        """Pairs of a split of which both twins are selected."""
-        chosen = selected & (self.arrays["split"] == SPLITS.index(split))
-        return np.flatnonzero(chosen.reshape(-1, 2).all(axis=1))
+    def _select(self, split: Split, part: str) -> np.ndarray:
+        """Return the pairs of a part whose twins both belong to the split's test half."""
+        selected = split.test.select(self.arrays) & (self.arrays["split"] == SPLITS.index(part))
+        return np.flatnonzero(selected.reshape(-1, 2).all(axis=1))
 
     @property
     def shown(self) -> list[int]:
-        """Every experiment that a picture is needed of."""
-        return sorted(
-            {*(each.experiment for each in self.practice), *(2 * self.pairs).tolist(), *(2 * self.pairs + 1).tolist()}
-        )
+        """Indices of all experiments that participants see."""
+        practice = {task.experiment for task in self.practice}
+        return sorted({*practice, *(2 * self.pairs).tolist(), *(2 * self.pairs + 1).tolist()})
 
     @property
     def description(self) -> str:
@@ -53,7 +139,7 @@ class StudyExperiments:
         return json.dumps(
             {
                 "scenario": self.scenario.name,
-                "split": self._split,
+                "split": self.split.name,
                 "num_objects": spec.num_objects,
                 "size": spec.size.name,
                 "data": self.states.id,
@@ -64,61 +150,89 @@ class StudyExperiments:
             }
         )
 
-    def plan(self, number: int) -> list[Assignment]:
-        """What participant `number` is asked, in order."""
-        return assignments_of(number, self.pairs, self.kinds, self.settings)
+    def tasks(self, number: int) -> list[StudyTask]:
+        """Return the tasks of a participant, practice first."""
+        return [*self.practice, *plan_tasks(number, self.pairs, self.kinds, self.settings)]
 
+    def file(self, experiment: int, name: str) -> Path:
+        """Return the path of the IMAGE or the CLIP of an experiment."""
+        return self.image_directory / f"{experiment}-{name}"
 
-AB, CD = 0, 1  # of an array's axis
-
-
-class Scenes:
-    """The experiments of a dataset as a camera sees them."""
-
-    def __init__(self, scenario: Scenario, arrays: dict[str, np.ndarray], resolution: int) -> None:
-        """Look at a dataset.
-
-        Args:
-            scenario: Of its experiments.
-            arrays: Of the dataset, see `States.load`.
-            resolution: Of the pictures, pixels.
-        """
-        self.scenario, self.resolution, self._arrays = scenario, resolution, arrays
-
-    def __len__(self) -> int:
-        return len(self._arrays["presence"])
-
-    def slots(self, experiment: int) -> set[int]:
-        """Of the objects in C."""
-        return set(np.flatnonzero(self._arrays["presence"][experiment, CD]).tolist())
-
-    def objects(self, experiment: int) -> list[dict[str, Any]]:
-        """Of C, the lowest first: slot, name and colour, and where the object is in the picture of C."""
-        start = self._in_picture(experiment, CD, 0)
-        height = self._arrays["states"][experiment, CD, 0, :, 2]
-        names = list(self.scenario.colors.items())
-        return [
-            {"slot": slot, "name": names[slot][0], "color": names[slot][1], "at": start[slot].round(1).tolist()}
-            for slot in sorted(self.slots(experiment), key=lambda slot: (height[slot], slot))
+    def draw_missing(self, *, workers: int) -> None:
+        """Draw the images and clips that do not exist yet."""
+        missing = [
+            experiment
+            for experiment in self.shown
+            if not (self.file(experiment, IMAGE).exists() and self.file(experiment, CLIP).exists())
         ]
+        if not missing:
+            return
+        self.image_directory.mkdir(parents=True, exist_ok=True)
+        arrays = {name: self.arrays[name][missing] for name in RENDERED_ARRAYS}
+        parts = np.array_split(np.arange(len(missing)), min(len(missing), 4 * workers))
+        stems = [[self.image_directory / str(missing[row]) for row in part] for part in parts]
+        draw = partial(_draw, self.scenario, self.settings.resolution)
+        with (
+            without_leftovers(self.image_directory),
+            tqdm(total=len(missing), desc="images of C, clips of AB") as bar,
+            ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), begin_worker) as pool,
+            ending_workers(),
+        ):
+            try:
+                for num_drawn in pool.map(draw, [{n: a[part] for n, a in arrays.items()} for part in parts], stems):
+                    bar.update(num_drawn)
+            except BrokenProcessPool as error:
+                raise CophyError(
+                    "a worker process was killed, possibly because the memory was full: run the same command with fewer "
+                    "workers= to continue"
+                ) from error
 
-    def ends(self, experiment: int) -> dict[int, tuple[float, float]]:
-        """Where each object of C is at the end of D. Never sent before an answer, and then in practice alone."""
-        return self._of_objects(experiment, self._in_picture(experiment, CD, -1))
 
-    def starts(self, experiment: int) -> dict[int, tuple[float, float]]:
-        """Where each object is in C."""
-        return self._of_objects(experiment, self._in_picture(experiment, CD, 0))
+def _draw(scenario: Scenario, resolution: int, arrays: dict[str, np.ndarray], stems: list[Path]) -> int:
+    """Write image and clip of each experiment of `arrays`; return their number."""
+    with Renderer(scenario, resolution) as renderer:
+        for row, stem in enumerate(stems):
+            image = render_sequence(renderer, arrays, row, CD, [0]).rgb[0]
+            clip = render_sequence(renderer, arrays, row, AB, slice(None)).rgb
+            with appearing_whole(stem.with_name(f"{stem.name}-{IMAGE}")) as path:
+                path.write_bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())
+            with appearing_whole(stem.with_name(f"{stem.name}-{CLIP}")) as path:
+                _write_clip(path, clip, scenario.clock.frame_rate_hz)
+    return len(stems)
 
-    def moved_as_in_ab(self, experiment: int) -> dict[int, tuple[float, float]]:
-        """Where each object of C would be if it moved on, in the picture, as it did in AB."""
-        moved = self._in_picture(experiment, AB, -1) - self._in_picture(experiment, AB, 0)
-        return self._of_objects(experiment, self._in_picture(experiment, CD, 0) + moved)
 
-    def _of_objects(self, experiment: int, pixels: np.ndarray) -> dict[int, tuple[float, float]]:
-        return {slot: (float(pixels[slot][0]), float(pixels[slot][1])) for slot in sorted(self.slots(experiment))}
+def _write_clip(path: Path, frames: np.ndarray, frame_rate_hz: int) -> None:
+    """Write a WebM file.
 
-    def _in_picture(self, experiment: int, sequence: int, frame: int) -> np.ndarray:
-        """(slot, 2) pixels at a frame of AB or CD."""
-        states = self._arrays["states"][experiment, sequence, :: self.scenario.clock.states_per_frame]
-        return self.scenario.camera.project(states[frame, :, :3], self.resolution)
+    Args:
+        path: The file; OpenCV derives the container from the suffix, so it writes to a path of its own first.
+        frames: (frame, R, R, 3) RGB.
+        frame_rate_hz: Frames per second.
+
+    Raises:
+        OSError: The disk is full.
+        CophyError: OpenCV did not write all frames, which it does not report.
+    """
+    webm = path.with_name(f"{path.name}.webm")
+    try:
+        writer = cv2.VideoWriter(str(webm), cv2.VideoWriter.fourcc(*CODEC), frame_rate_hz, frames.shape[1:3])
+        if not writer.isOpened():
+            check_space(webm)
+            raise CophyError(f"{webm}: this OpenCV writes no {CODEC} in WebM; install opencv-python-headless")
+        for frame in frames:
+            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+        writer.release()
+        check_space(webm)
+        if (written := _count_frames(webm)) != len(frames):
+            raise CophyError(f"{webm}: only {written} of {len(frames)} frames were written; is the disk full?")
+        webm.replace(path)
+    finally:
+        webm.unlink(missing_ok=True)
+
+
+def _count_frames(path: Path) -> int:
+    """Count the frames of a clip by decoding it."""
+    video, count = cv2.VideoCapture(str(path)), 0
+    while video.grab():
+        count += 1
+    return count

@@ -22,10 +22,9 @@ from matplotlib.patches import Circle
 from cophy.errors import CophyError, check_name
 from cophy.report.runs import Choices, notice
 from cophy.study.answers import ANSWERS, PERSON, SIMULATED
-from cophy.study.clips import PICTURE, pictures_of
-from cophy.study.experiments import Scenes
+from cophy.study.experiments import IMAGE, Scenes, image_directory
 from cophy.study.judging import human_rows, judge, read_clicks, read_descriptions
-from cophy.study.settings import check_resolution
+from cophy.study.plan import check_resolution
 
 log = logging.getLogger(__name__)
 
@@ -111,7 +110,7 @@ def draw_studies(studies: Sequence[StudyAnswers]) -> Iterator[tuple[str, Figure]
         answered = study.judged[(study.judged["practice"] == 0) & study.judged["x"].notna()]
         for (kind, setting), found in answered.groupby(["kind", "setting"]):
             who = "people" if kind == PERSON else f"simulated: {kind} (no people)"
-            title = f"{study.scenario} {study.split}, {SETTINGS[str(setting)]}, {who}"
+            title = f"{study.scenario} {study.split}, {SETTING_LABELS[str(setting)]}, {who}"
             same = [s for s in studies[:number] if (s.scenario, s.split, s.directory) == _place(study)]
             again = f"-{len(same) + 1}" if any(kind in set(s.judged["kind"]) for s in same) else ""
             name = f"study-{study.scenario}-{study.split}-{kind}-{setting}{again}"
@@ -139,7 +138,7 @@ def _draw(study: StudyAnswers, clicks: pd.DataFrame, title: str) -> Figure:
 
 def _draw_experiment(axis: Axes, study: StudyAnswers, experiment: int, clicks: pd.DataFrame) -> None:
     size = study.resolution
-    path = pictures_of(study.directory, study.scenario, study.data, size) / f"{experiment}-{PICTURE}"
+    path = image_directory(study.directory, study.scenario, study.data, size) / f"{experiment}-{IMAGE}"
     picture = cv2.imread(str(path)) if path.exists() else None
     if picture is None:
         log.info(notice(f"{path} is not there: its figure has no picture of C. study.py draws it."))
@@ -154,7 +153,7 @@ def _draw_experiment(axis: Axes, study: StudyAnswers, experiment: int, clicks: p
     axis.set(xlim=(0, size), ylim=(size, 0), xticks=[], yticks=[])
 
 
-SETTINGS = {"non_cf": "without AB", "cf": "with AB"}
+SETTING_LABELS = {"non_cf": "without AB", "cf": "with AB"}
 CAPTION = (
     "Error of the clicks, pixels of 448 × 448: mean over answers. 1 is the lowest object of C; the mean is of these columns. "
     "σ: standard deviation over answers, of their mean error over clicked objects. By people, by pairs: 95 % interval of the mean, "
@@ -206,7 +205,7 @@ def _table(rows: pd.DataFrame) -> pd.DataFrame:
         by_measure = found.set_index("measure")
         mean = by_measure.loc["mean"]
         ranks = sorted(name for name in by_measure.index if name != "mean")
-        label = SETTINGS[str(setting)] if kind == PERSON else f"{kind}, {SETTINGS[str(setting)]}"
+        label = SETTING_LABELS[str(setting)] if kind == PERSON else f"{kind}, {SETTING_LABELS[str(setting)]}"
         lines[label] = {
             **{rank.removeprefix("rank_"): f"{by_measure['mean'][rank]:.1f}" for rank in ranks},
             "mean": f"{mean['mean']:.1f}",

@@ -1,155 +1,150 @@
-"""How many people tell the two settings apart, if people were as simulated participants are.
+"""Simulated participants, and the number of human participants that a study needs if they answer like these."""
 
-How simulated participants answer: at random, as if nothing moved, as if AB came again, or near the truth.
-Simulated participants go through the pages of a study, as a browser would, many at once.
-"""
-
-import asyncio
+import io
+import logging
+import math
 from collections.abc import Callable, Mapping
-from contextlib import AsyncExitStack
-from typing import Any
+from contextlib import closing
 
-import httpx
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import ttest_1samp
-from starlette.applications import Starlette
 from tqdm import tqdm
 
+from cophy.atomic_files import appearing_whole, write_atomically
 from cophy.errors import CophyError
-from cophy.study.experiments import Scenes
-from cophy.study.judging import REFERENCE_RESOLUTION
-from cophy.study.server import COOKIE, OpenStudy
-from cophy.study.sessions import Assignment
+from cophy.study.answers import SIMULATED, AnswerStore, exclusive, naming_file, remove_journal
+from cophy.study.experiments import Positions, Scenes, StudyExperiments
+from cophy.study.judging import REFERENCE_RESOLUTION, human_rows, read_judged
+from cophy.study.plan import StudyTask
+from cophy.study.sessions import Sessions
 
-Pixels = dict[int, tuple[float, float]]  # slot -> x, y
-# from the pictures' scenes, what is asked, and draws, to where objects end
-Strategy = Callable[[Scenes, Assignment, np.random.Generator], Pixels]
+log = logging.getLogger(__name__)
 
-# paper Table 1, of people: mean error of an answer in the setting without AB, and with it; pixels of 448
+# returns where objects end, according to a simulated participant
+Strategy = Callable[[Scenes, StudyTask, np.random.Generator], Positions]
+
+# paper Table 1, human participants: mean error of an answer without and with AB, pixels of 448
 MEAN_ERROR = {"non_cf": 58.57, "cf": 54.54}
-# ours: log-normal spread of the noise of an answer, which brings the standard deviation over answers near the paper's 34
+# ours: log-normal spread of an answer's noise; the standard deviation over answers is then near the paper's 34
 SPREAD = 0.5
 MEAN_OF_NORM = np.sqrt(np.pi / 2)  # of a vector of two standard normal numbers
+WINDOW_PX = [800, 600]  # window that is stored for simulated participants, CSS pixels
 
 
-def _at_random(scenes: Scenes, assignment: Assignment, rng: np.random.Generator) -> Pixels:
-    """Anywhere in the picture."""
+def _click_at_random(scenes: Scenes, task: StudyTask, rng: np.random.Generator) -> Positions:
+    """Click anywhere in the image."""
     size = scenes.resolution
-    return {slot: (size * rng.random(), size * rng.random()) for slot in sorted(scenes.slots(assignment.experiment))}
+    return {slot: (size * rng.random(), size * rng.random()) for slot in sorted(scenes.slots(task.experiment))}
 
 
-def _stays(scenes: Scenes, assignment: Assignment, rng: np.random.Generator) -> Pixels:
-    """Every object stays where it is in C."""
-    return scenes.starts(assignment.experiment)
+def _click_starts(scenes: Scenes, task: StudyTask, rng: np.random.Generator) -> Positions:
+    """Click where the objects are in C."""
+    return scenes.starts(task.experiment)
 
 
-def _as_in_ab(scenes: Scenes, assignment: Assignment, rng: np.random.Generator) -> Pixels:
-    """With AB, every object moves as it did there; without, it stays."""
-    if assignment.setting == "cf":
-        return scenes.moved_as_in_ab(assignment.experiment)
-    return scenes.starts(assignment.experiment)
+def _click_as_in_ab(scenes: Scenes, task: StudyTask, rng: np.random.Generator) -> Positions:
+    """With AB, move every object as in AB; without AB, click where it is in C."""
+    return scenes.moved_as_in_ab(task.experiment) if task.setting == "cf" else scenes.starts(task.experiment)
 
 
-def _near_the_truth(scenes: Scenes, assignment: Assignment, rng: np.random.Generator) -> Pixels:
-    """The truth with noise: an answer is as wrong, on average, as the paper's people are in this setting."""
-    mean = MEAN_ERROR[assignment.setting] * scenes.resolution / REFERENCE_RESOLUTION
-    noise = mean / MEAN_OF_NORM * rng.lognormal(-(SPREAD**2) / 2, SPREAD)  # mean of the factor: 1
-    ends = scenes.ends(assignment.experiment)
+def _click_near_ends(scenes: Scenes, task: StudyTask, rng: np.random.Generator) -> Positions:
+    """Click at the true ends with noise, whose mean is the error of the paper's participants in this setting."""
+    mean = MEAN_ERROR[task.setting] * scenes.resolution / REFERENCE_RESOLUTION
+    noise = mean / MEAN_OF_NORM * rng.lognormal(-(SPREAD**2) / 2, SPREAD)  # the factor has a mean of 1
+    ends = scenes.ends(task.experiment)
     return {slot: (x + noise * rng.normal(), y + noise * rng.normal()) for slot, (x, y) in ends.items()}
 
 
+HUMAN_LIKE = "noisy_oracle"  # the power is computed for participants of this kind
 STRATEGIES: Mapping[str, Strategy] = {
-    "random": _at_random,
-    "stays": _stays,
-    "as_in_ab": _as_in_ab,
-    "noisy_oracle": _near_the_truth,
+    "random": _click_at_random,
+    "stays": _click_starts,
+    "as_in_ab": _click_as_in_ab,
+    HUMAN_LIKE: _click_near_ends,
 }
 
 
-AT_ONCE = 20  # participants
-WINDOW = [800, 600]  # CSS pixels, of a browser that is none
+def simulate(experiments: StudyExperiments, *, participants: int, workers: int) -> None:
+    """Let simulated participants of every kind take the study, and write their answers to a new file.
 
-
-def take_study(study: OpenStudy, app: Starlette, strategy: Strategy, *, participants: int, seed: int) -> None:
-    """Let participants take the study, in this process but over its HTTP interface.
+    The previous file is replaced only when the new one is complete.
 
     Args:
-        study: Whose participants are of a simulated kind.
-        app: Its pages.
-        strategy: How they answer.
-        participants: How many.
-        seed: Of their answers.
-
-    Raises:
-        CophyError: The pages refused one of them.
+        experiments: The study.
+        participants: Number of each kind.
+        workers: Processes that draw images.
     """
-    asyncio.run(_all(study, app, strategy, np.random.SeedSequence(seed).spawn(participants)))
+    path = experiments.directory / SIMULATED
+    with exclusive(path), naming_file(path), appearing_whole(path) as temporary:
+        experiments.draw_missing(workers=workers)
+        with closing(AnswerStore(temporary)) as store:
+            for number, kind in enumerate(STRATEGIES):
+                seed = len(STRATEGIES) * experiments.settings.seed + number
+                take_study(Sessions(store, experiments, kind), participants, seed)
+        remove_journal(path)
+    _, judged = read_judged(path, experiments)
+    log.info("%s\nanswers: %s", human_rows(judged).round(2).to_string(), path)
 
 
-async def _all(study: OpenStudy, app: Starlette, strategy: Strategy, seeds: list[np.random.SeedSequence]) -> None:
-    free = asyncio.Semaphore(AT_ONCE)
-    async with AsyncExitStack() as stack:
-        # an address of each one's own: the limits are meant for people who share one
-        transports = [httpx.ASGITransport(app=app, client=(f"simulated-{n}", 0)) for n in range(len(seeds))]
-        browsers = [
-            await stack.enter_async_context(httpx.AsyncClient(transport=each, base_url="http://study"))
-            for each in transports
-        ]
-        for browser in browsers:  # one after the other, so that each has its place in the plan at every call
-            _said(await browser.post("/api/consent", json={"agreed": True}))
-        with tqdm(total=len(seeds), desc=study.sessions.kind) as bar:
+def take_study(sessions: Sessions, participants: int, seed: int) -> None:
+    """Store the answers of simulated participants, one participant after the other.
 
-            async def one(browser: httpx.AsyncClient, seed: np.random.SeedSequence) -> None:
-                async with free:
-                    await _visit(study, browser, strategy, np.random.default_rng(seed))
-                bar.update()
-
-            await asyncio.gather(*map(one, browsers, seeds))
+    Args:
+        sessions: Participants of the kind that is simulated.
+        participants: Their number.
+        seed: Seed of their answers.
+    """
+    scenes, strategy = sessions.experiments.scenes, STRATEGIES[sessions.kind]
+    for participant_seed in tqdm(np.random.SeedSequence(seed).spawn(participants), desc=sessions.kind):
+        rng, token = np.random.default_rng(participant_seed), sessions.consent(None)
+        place = sessions.place(token)
+        while place.task is not None:
+            sessions.begin(token, place.position)
+            sessions.answer(token, place.position, _answer(strategy(scenes, place.task, rng), sessions))
+            place = sessions.place(token)
 
 
-async def _visit(study: OpenStudy, browser: httpx.AsyncClient, strategy: Strategy, rng: np.random.Generator) -> None:
-    """From the first task to the code."""
-    place = _said(await browser.get("/api/place"))
-    while "code" not in place:
-        for media in filter(None, (place["picture"], place["clip"])):
-            _said(await browser.get(media), is_json=False)
-        address = f"/api/assignments/{place['position']}"
-        _said(await browser.post(f"{address}/begin", json={}))
-        # what is asked; the pages do not tell the number of the experiment
-        assignment = study.sessions.place(browser.cookies[COOKIE]).assignment
-        assert assignment is not None
-        pixels = strategy(study.experiments.scenes, assignment, rng)
-        _said(await browser.post(f"{address}/answer", json=_answer(place, pixels)))
-        place = _said(await browser.get("/api/place"))
-
-
-def _answer(place: dict[str, Any], pixels: Pixels) -> dict[str, Any]:
-    """What a browser sends; clicks beside the picture go to its edge."""
-    size, at_ms = place["resolution"], round(500 * place["seconds"])
+def _answer(positions: Positions, sessions: Sessions) -> dict[str, object]:
+    """Return what a browser would send; clicks outside the image move to its edge."""
+    size, at_ms = sessions.settings.resolution, round(500 * sessions.settings.seconds)
     clicks = [
-        {"slot": slot, **{axis: min(max(value, 0.0), float(size)) for axis, value in zip("xy", at, strict=True)}}
-        for slot, at in pixels.items()
+        {"slot": slot, "x": min(max(x, 0.0), float(size)), "y": min(max(y, 0.0), float(size)), "at_ms": at_ms}
+        for slot, (x, y) in positions.items()
     ]
-    timed = [{**click, "at_ms": at_ms} for click in clicks]
-    return {"clicks": timed, "undone": 0, "names_shown": False, "input": "none", "window": WINDOW}
+    return {"clicks": clicks, "undone": 0, "names_shown": False, "input": "none", "window": WINDOW_PX}
 
 
-def _said(response: httpx.Response, *, is_json: bool = True) -> dict[str, Any]:
-    if response.status_code != httpx.codes.OK:
-        raise CophyError(f"the study refused a simulated participant: {response.status_code} {response.text[:200]}")
-    return dict(response.json()) if is_json else {}
-
-
-NUM_PEOPLE = (5, 10, 20, 30, 50, 75, 100, 150, 200, 300)
-NUM_STUDIES = 2000  # that are drawn for each number of people
+NUM_PARTICIPANTS = (5, 10, 20, 30, 50, 75, 100, 150, 200, 300)
+NUM_STUDIES = 2000  # that are drawn for each number of participants
 SIGNIFICANCE = 0.05
-WANTED = 0.8  # the power that is asked of a study by custom
+TARGET_POWER = 0.8  # customary
 
 
-def differences(judged: pd.DataFrame) -> np.ndarray:
-    """(participant,) how much smaller a participant's mean error is with AB than without, pixels of 448.
+def estimate_power(experiments: StudyExperiments) -> None:
+    """Write power.csv and power.png, computed from the simulated participants that err like the paper's."""
+    path, scenario, split = experiments.directory / SIMULATED, experiments.scenario.name, experiments.split.name
+    if not path.exists():
+        raise CophyError(f"{path} does not exist: run study.py simulate scenario={scenario} first")
+    _, judged = read_judged(path, experiments)
+    differences = error_differences(judged[judged["kind"] == HUMAN_LIKE])
+    if len(differences) < 2:
+        raise CophyError(f"{path} has no simulated participants of this study: run study.py simulate first")
+    curve = power_curve(differences, experiments.settings.seed)
+    title = f"{scenario} {split}: {HUMAN_LIKE}, {len(differences)} simulated participants"
+    image = io.BytesIO()
+    draw_power(curve, differences, title).savefig(image, format="png", dpi=110)
+    write_atomically(path.with_name("power.csv"), curve.to_csv(index=False).encode())
+    write_atomically(path.with_name("power.png"), image.getvalue())
+    needed = participants_needed(curve)
+    number = f"more than {NUM_PARTICIPANTS[-1]}" if math.isnan(needed) else f"about {needed:.0f}"
+    message = "%s\nA power of 80 %% needs %s participants. power.csv, power.png: %s"
+    log.info(message, curve.to_string(index=False), number, path.parent)
+
+
+def error_differences(judged: pd.DataFrame) -> np.ndarray:
+    """Return (participant,) mean error without AB minus mean error with AB, pixels of 448.
 
     Args:
         judged: Clicks of one kind of participants, see `judge`.
@@ -159,52 +154,49 @@ def differences(judged: pd.DataFrame) -> np.ndarray:
     return (means["non_cf"] - means["cf"]).dropna().to_numpy()
 
 
-def power_curve(difference: np.ndarray, seed: int) -> pd.DataFrame:
-    """Share of studies of n people in which a paired t-test (two-sided, 5 %) finds that AB helps.
+def power_curve(differences: np.ndarray, seed: int) -> pd.DataFrame:
+    """Return the share of studies in which a paired t-test (two-sided, 5 %) finds that AB helps.
 
     Args:
-        difference: See `differences`; people are drawn from these with replacement.
-        seed: Of the draws.
+        differences: See `error_differences`; participants of a study are drawn from them with replacement.
+        seed: Seed of the draws.
 
     Returns:
-        Columns people and power.
+        Columns people (number of participants) and power.
     """
-    rng, lines = np.random.default_rng(seed), []
-    for people in NUM_PEOPLE:
-        drawn = difference[rng.integers(len(difference), size=(NUM_STUDIES, people))]
+    rng, rows = np.random.default_rng(seed), []
+    for participants in NUM_PARTICIPANTS:
+        drawn = differences[rng.integers(len(differences), size=(NUM_STUDIES, participants))]
         test = ttest_1samp(drawn, 0.0, axis=1)
-        found = (np.asarray(test.pvalue) < SIGNIFICANCE) & (drawn.mean(axis=1) > 0)
-        lines.append({"people": people, "power": float(found.mean())})
-    return pd.DataFrame(lines)
+        is_significant = (np.asarray(test.pvalue) < SIGNIFICANCE) & (drawn.mean(axis=1) > 0)
+        rows.append({"people": participants, "power": float(is_significant.mean())})
+    return pd.DataFrame(rows)
 
 
-def people_needed(curve: pd.DataFrame) -> float:
-    """Where the curve crosses 80 %, between its points in a straight line; NaN where it never does."""
-    above = curve["power"] >= WANTED
-    if not above.any():
+def participants_needed(curve: pd.DataFrame) -> float:
+    """Return where the curve reaches a power of 80 %, interpolated linearly; NaN if it never does."""
+    reached = np.flatnonzero(curve["power"] >= TARGET_POWER)
+    if len(reached) == 0:
         return float("nan")
-    last = int(np.argmax(above.to_numpy()))
-    if last == 0:
-        return float(curve["people"].iloc[0])
-    part = curve.iloc[last - 1 : last + 1]
-    return float(np.interp(WANTED, part["power"], part["people"]))
+    part = curve.iloc[max(reached[0] - 1, 0) : reached[0] + 1]
+    return float(np.interp(TARGET_POWER, part["power"], part["people"]))
 
 
-def draw_power(curve: pd.DataFrame, difference: np.ndarray, title: str) -> Figure:
-    """The curve as a figure.
+def draw_power(curve: pd.DataFrame, differences: np.ndarray, title: str) -> Figure:
+    """Draw the power over the number of participants.
 
     Args:
         curve: See `power_curve`.
-        difference: See `differences`.
-        title: Of the figure.
+        differences: See `error_differences`.
+        title: First line of the title.
     """
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     axis = figure.subplots()
     axis.plot(curve["people"], curve["power"], marker="o")
-    axis.axhline(WANTED, color="0.6", linestyle="--", linewidth=1)
-    axis.set(xlabel="people", ylabel="studies that find the difference", ylim=(0, 1.02), xlim=(0, None))
+    axis.axhline(TARGET_POWER, color="0.6", linestyle="--", linewidth=1)
+    axis.set(xlabel="participants", ylabel="studies that find the difference", ylim=(0, 1.02), xlim=(0, None))
     axis.yaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
     axis.grid(alpha=0.2)
-    said = f"AB helps by {difference.mean():.1f} ± {difference.std(ddof=1):.1f} pixels (mean ± SD over participants)"
-    axis.set_title(f"{title}\n{said}", fontsize="medium")
+    effect = f"AB helps by {differences.mean():.1f} ± {differences.std(ddof=1):.1f} pixels"
+    axis.set_title(f"{title}\n{effect} (mean ± SD over participants)", fontsize="medium")
     return figure

@@ -185,7 +185,7 @@ def test_a_study_on_data_of_another_seed_and_grid_is_found(tmp_path: Path) -> No
     words = ("size=tiny", "data_seed=1", "scenario.confounders.friction=[1]", f"data_dir={tmp_path / 'data'}")
     (states,) = generated_by(settings("generate", *words))
     generation.make(states, workers=2)
-    shown = StudyExperiments(states, settings("study").split, SMALL)
+    shown = StudyExperiments(states, settings("study").split, SMALL, tmp_path)
     write_answers(tmp_path / "study" / "x" / "answers.sqlite", shown.description)
     (found,) = read_answers(tmp_path, ComposedChoices("generated", tmp_path / "data"))
     assert found.data == states.id
