@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.report_choices import ComposedChoices
-from cophy.study.answers import AnswerStore, naming_file
+from cophy.study.answers import AnswerStore
 from cophy.study.judging import read_clicks, read_participants
 from cophy.study.report import draw_studies, read_answers, study_tables
 from tests.attacks.faults import FAULTS
@@ -94,9 +94,3 @@ def test_many_wrong_files_of_answers_are_named_or_do_no_harm(
     whole: Path, choices: ComposedChoices, tmp_path: Path, caplog: pytest.LogCaptureFixture, attacks: int
 ) -> None:
     often(40 * attacks, lambda draw: attack(whole, tmp_path / "world", choices, caplog, draw))
-
-
-def test_a_file_in_use_is_not_taken_for_a_damaged_one(tmp_path: Path) -> None:
-    path = tmp_path / "answers.sqlite"
-    with pytest.raises(CophyError, match=r"answers.sqlite is in use by another program"), naming_file(path):
-        raise sqlite3.OperationalError("database is locked")

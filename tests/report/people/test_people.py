@@ -93,8 +93,8 @@ def description(data: str) -> str:
     [
         ("3-tiny-ffff", 2, "are not there"),
         ("../../etc", 2, "are not there"),
-        (None, 99_999, "the data do not have"),
-        (None, -1, "the data do not have"),
+        (None, 99_999, "the dataset does not have"),
+        (None, -1, "the dataset does not have"),
     ],
 )
 def test_answers_without_their_data_are_named(
