@@ -1,6 +1,6 @@
-"""What a generated dataset asks of a model, without any: python benchmarks/dataset/data_report.py scenario=balls size=small
+"""Baselines, balance and cost of a generated dataset, without a trained model: python benchmarks/dataset/data_report.py scenario=balls size=small
 
-Takes what generate.py takes, and prints a Markdown table with a column per dataset. Copies are judged on all experiments.
+Takes what generate.py takes, and prints a Markdown table with a column per dataset. Copy baselines are evaluated on all experiments.
 """
 
 import time
@@ -10,8 +10,8 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from cophy.audit.data import matters, slots_in_order
-from cophy.audit.simulated import moved_by_twice_the_rate
+from cophy.audit.checks import share_with_effect, slots_in_order
+from cophy.audit.resimulation import effect_of_double_rate
 from cophy.bootstrap import interval, mean
 from cophy.config import generated_by, settings
 from cophy.dataset.difficulty import twin_differences
@@ -25,7 +25,7 @@ from cophy.training.evaluation import evaluate
 Arrays = dict[str, np.ndarray]
 Lines = Iterator[tuple[str, str]]  # name of a number, and the number
 
-SAMPLE = 40  # experiments that are simulated again, and made again
+SAMPLE = 40  # experiments that are resimulated and regenerated
 
 
 def main(*overrides: str) -> None:
@@ -38,27 +38,27 @@ def main(*overrides: str) -> None:
 
 
 def lines(arrays: Arrays, spec: DatasetSpec) -> Lines:
-    """All numbers of a dataset."""
+    """Yield all numbers of a dataset."""
     yield "experiments", str(spec.num_experiments)
-    yield from of_copies(arrays, spec)
+    yield from copy_baselines(arrays, spec)
     observed, counterfactual = np.median(twin_differences(arrays), axis=0)
     yield "twin difference, median, AB and CD (m)", f"{observed:.2f}, {counterfactual:.2f}"
-    yield "do-operation matters: to a remaining object", f"{matters(arrays, spec, acted_on=True):.1%}"
-    yield "… to one that it does not act on", f"{matters(arrays, spec, acted_on=False):.1%}"
+    yield "do-operation has an effect: on a remaining object", f"{share_with_effect(arrays, spec):.1%}"
+    yield "… on one that is not displaced", f"{share_with_effect(arrays, spec, on_changed_object=False):.1%}"
     for number, cell in enumerate(spec.scenario.cells()):
         yield f"cell {cell}", f"{(arrays['cell'] == number).mean():.1%}"
     if spec.scenario.statics is not None:
-        yield from of_outcomes(arrays, spec, spec.scenario.statics.fallen_distance)
+        yield from tower_outcomes(arrays, spec, spec.scenario.statics.fallen_distance)
     yield "simulations per experiment", f"{arrays['pair_simulations'][::2].sum() / spec.num_experiments:.2f}"
     with Simulator() as simulator:
-        yield f"CPU-s per experiment, of {SAMPLE} made again", f"{seconds(spec, simulator):.3f}"
+        yield f"CPU-s per experiment, of {SAMPLE} regenerated", f"{seconds(spec, simulator):.3f}"
         rows = np.linspace(0, spec.num_experiments - 1, SAMPLE).astype(int).tolist()
-        changes = np.quantile(moved_by_twice_the_rate(arrays, spec, rows, simulator), (0.5, 0.9))
+        changes = np.quantile(effect_of_double_rate(arrays, spec, rows, simulator), (0.5, 0.9))
         yield f"CD with the solver's rate doubled, of {SAMPLE}: median, 90 % (m)", "{:.3f}, {:.3f}".format(*changes)
 
 
-def of_copies(arrays: Arrays, spec: DatasetSpec) -> Lines:
-    """MSE and twin difference explained, with 95 % intervals over twin pairs."""
+def copy_baselines(arrays: Arrays, spec: DatasetSpec) -> Lines:
+    """Yield MSE and twin difference explained, with 95 % intervals over twin pairs."""
     batch, scenario = to_batch(arrays, spec.scenario), spec.scenario
     for name, model in (("copy C", CopyC()), ("copy B", CopyB())):
         measured = evaluate(model(batch.inputs), batch.targets, scenario)
@@ -71,14 +71,14 @@ def of_copies(arrays: Arrays, spec: DatasetSpec) -> Lines:
             yield f"{name}, {title}", f"{mean(values):.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def of_outcomes(arrays: Arrays, spec: DatasetSpec, fallen_distance: float) -> Lines:
-    """Share of CD that stand, for every value of every confounder; of objects, over all heights: smallest to largest."""
+def tower_outcomes(arrays: Arrays, spec: DatasetSpec, fallen_distance: float) -> Lines:
+    """Yield the share of CD that stand per value of every confounder; for objects the range over all heights."""
     standing, grid = stands(arrays, fallen_distance)[:, 1], spec.scenario.confounders
     slots = slots_in_order(arrays, spec.num_objects)
     for name in ("mass", "friction"):
-        of_objects = np.take_along_axis(arrays[name], slots, axis=1).T
+        object_values = np.take_along_axis(arrays[name], slots, axis=1).T
         for value in getattr(grid, name):
-            shares = [standing[np.isclose(of_object, value)].mean() for of_object in of_objects]
+            shares = [standing[np.isclose(object_value, value)].mean() for object_value in object_values]
             yield f"CD stands, {name} {value:g}", f"{min(shares):.1%} to {max(shares):.1%}"
     for axis, name in enumerate(("gravity_x", "gravity_y")):
         for value in getattr(grid, name):
@@ -89,7 +89,7 @@ def of_outcomes(arrays: Arrays, spec: DatasetSpec, fallen_distance: float) -> Li
 
 
 def seconds(spec: DatasetSpec, simulator: Simulator) -> float:
-    """CPU-s per experiment of searching and simulating the first ones again."""
+    """Return the CPU-seconds per experiment of searching and simulating the first ones."""
     start = time.process_time()
     for pair in range(SAMPLE // 2):
         spec.scenario.twin_pair(spec.num_objects, data_seed=spec.data_seed, pair=pair, simulator=simulator)

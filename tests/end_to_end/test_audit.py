@@ -39,7 +39,7 @@ def test_audit_names_what_is_wrong(tiny_data: Path, tmp_path: Path) -> None:
     run("generate", "scenario=collision", "size=tiny", f"data_dir={tmp_path}")  # vouches for what it finds
     printed = audit(tmp_path, code=1)
     assert "audit: 2-tiny" in printed
-    assert "twins share all but confounders: split" in printed
+    assert "twins share everything except confounders: split" in printed
     assert "states are finite, empty slots zero: no" in printed
     assert "Traceback" not in printed
     (page,) = tmp_path.glob("audit/*/audit.md")

@@ -1,77 +1,78 @@
-"""What can be checked of data that others made: not how they were found, but what they say."""
+"""Checks of released data: what their files contain, whatever generated them."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from cophy.audit.checks import Arrays, Check
-from cophy.audit.data import level, places, stability_per_value, trajectories
-from cophy.dataset.features import stands
+from cophy.audit.checks import Check, check_distances, check_equal_shares, check_positions, check_stability
+from cophy.dataset.features import Arrays, stands
 from cophy.dataset.shards import Sharded
 from cophy.dataset.splits import SPLITS
 
-SAME_TOLERANCE_M = 1e-4  # ours: float32 at a few metres is exact to 1e-6, and no do-operation is this small
+CHANGED_M = 1e-4  # ours: float32 at a few metres is exact to 1e-6, and no do-operation is this small
 NOT_APPLICABLE = {
-    "twins": "the data have none: each experiment stands for itself",
-    "made again from the seed": "they are not of this generator",
-    "simulated again, AB identifies CD": "their solver, sizes and walls are not known",
-    "energy": "likewise",
+    "twins": "the data have no twins",
+    "regenerated from the seed": "the data are from another generator",
+    "resimulated, AB identifies CD": "the data's solver, sizes and walls are not known",
+    "energy": "the data's solver, sizes and walls are not known",
 }
 
 
 def audit_released(arrays: Arrays, spec: Sharded) -> Iterator[Check]:
-    """All checks that apply to the listed experiments of an index, and those that do not."""
-    found = f"{len(arrays['split'])} of {spec.num_experiments} folders; the others are broken, empty or in no list"
-    yield Check("experiments that are listed and whole", found, True)
+    """Yield all checks that apply to the listed experiments of an index, and name those that do not."""
+    result = f"{len(arrays['split'])} of {spec.num_experiments} folders; the others are broken, empty or in no list"
+    yield Check("experiments that are listed and complete", result, True)
     counts = np.bincount(arrays["split"], minlength=len(SPLITS))
     yield Check("train : val : test, by the lists", " : ".join(map(str, counts)), bool(counts.all()))
-    yield _copies(arrays)
-    yield from _do_operations(arrays)
-    yield from places(arrays, spec.scenario.object_size_m)  # objects are 1 m large, as ours, in all formats
-    yield from _balance(arrays, spec)
+    yield _check_copies(arrays)
+    yield from _check_do_operations(arrays)
+    yield from check_positions(arrays, spec.scenario.object_size_m)  # objects are 1 m large, as ours, in all formats
+    yield from _check_confounders(arrays, spec)
     if spec.scenario.statics is not None:
         standing = stands(arrays, spec.scenario.statics.fallen_distance)[:, 1]
-        yield from stability_per_value(arrays, standing, spec.num_objects)
+        yield from check_stability(arrays, standing, spec.num_objects)
     else:
-        yield from trajectories(arrays, spec)
-    for name, why in NOT_APPLICABLE.items():
-        yield Check(name, f"does not apply: {why}", True)
+        yield from check_distances(arrays, spec)
+    for name, reason in NOT_APPLICABLE.items():
+        yield Check(name, f"does not apply: {reason}", True)
 
 
-def _copies(arrays: Arrays) -> Check:
-    """The same A and C, to the last bit, under another id of another split."""
+def _check_copies(arrays: Arrays) -> Check:
+    """Check that no two splits contain the same A and C, to the last bit."""
     start = np.ascontiguousarray(arrays["states"][:, :, 0]).reshape(len(arrays["split"]), -1)
-    _, group = np.unique(start, axis=0, return_inverse=True)
-    splits = [set(arrays["split"][group == copy].tolist()) for copy in np.flatnonzero(np.bincount(group) > 1)]
-    across = sum(len(found) > 1 for found in splits)
+    _, scene = np.unique(start, axis=0, return_inverse=True)
+    repeated = np.flatnonzero(np.bincount(scene) > 1)
+    across = sum(len(np.unique(arrays["split"][scene == copy])) > 1 for copy in repeated)
     return Check("scenes that are in two splits", str(across), across == 0)
 
 
-def _do_operations(arrays: Arrays) -> Iterator[Check]:
-    """At t = 0, C differs from A in one object, visibly, and in nothing else."""
+def _check_do_operations(arrays: Arrays) -> Iterator[Check]:
+    """Check that C differs from A in one object, visibly, and in nothing else."""
     first, second = arrays["states"][:, 0, 0], arrays["states"][:, 1, 0]
-    differs = np.abs(first[..., :7] - second[..., :7]).max(axis=-1) > SAME_TOLERANCE_M
-    wrong = differs.sum(axis=1) != 1
-    yield Check("C is A but for one object", f"not in {wrong.sum()}" if wrong.any() else "yes", not wrong.any())
+    moved = np.abs(first[..., :7] - second[..., :7]).max(axis=-1) > CHANGED_M
+    wrong = moved.sum(axis=1) != 1
+    result = f"fails in {wrong.sum()}" if wrong.any() else "yes"
+    yield Check("C equals A except for one object", result, not wrong.any())
     stays = arrays["presence"].all(axis=1)
-    other = (np.abs(first[..., 7:] - second[..., 7:]).max(axis=-1) > SAME_TOLERANCE_M) & stays
-    yield Check("initial velocities of C are those of A", f"not in {other.any(axis=1).sum()}", not other.any())
+    accelerated = (np.abs(first[..., 7:] - second[..., 7:]).max(axis=-1) > CHANGED_M) & stays
+    result = f"fails in {accelerated.any(axis=1).sum()}"
+    yield Check("initial velocities of C are those of A", result, not accelerated.any())
     removed = arrays["presence"].sum(axis=2)[:, 0] - arrays["presence"].sum(axis=2)[:, 1]
     offset = np.linalg.norm(arrays["do_offset"], axis=1)[removed == 0]
-    found = (
-        f"{(removed > 0).mean():.1%} removals; displaced by {np.median(offset):.2f} m (median)" if len(offset) else "-"
-    )
-    yield Check("do-operations", found, bool((removed <= 1).all()))
+    result = "-"
+    if len(offset):
+        result = f"{(removed > 0).mean():.1%} removals; displaced by {np.median(offset):.2f} m (median)"
+    yield Check("do-operations", result, bool((removed <= 1).all()))
 
 
-def _balance(arrays: Arrays, spec: Sharded) -> Iterator[Check]:
-    """Confounder values are level, up to chance and BALANCE_TOLERANCE."""
+def _check_confounders(arrays: Arrays, spec: Sharded) -> Iterator[Check]:
+    """Check that the values of each known confounder are equally frequent."""
     present, grid = arrays["presence"][:, 0], spec.scenario.confounders
-    values = {name: arrays[name][present] for name in ("mass", "friction", "restitution")}
-    values |= {name: arrays["gravity"][:, axis] for axis, name in enumerate(("gravity_x", "gravity_y"))}
-    for name, found in values.items():
+    confounders = {name: arrays[name][present] for name in ("mass", "friction", "restitution")}
+    confounders |= {name: arrays["gravity"][:, axis] for axis, name in enumerate(("gravity_x", "gravity_y"))}
+    for name, values in confounders.items():
         labels = {value: f"{value:g}" for value in getattr(grid, name)}
-        if np.isnan(found).any():
+        if np.isnan(values).any():
             yield Check(f"share of {name}", "does not apply: unknown", True)
         else:
-            yield level(name, found, labels, draws=len(found) // len(spec.scenario.cells()))
+            yield check_equal_shares(name, values, labels, draws=len(values) // len(spec.scenario.cells()))

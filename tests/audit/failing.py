@@ -1,4 +1,4 @@
-"""Which lines of an audit fail."""
+"""Names of the checks that fail."""
 
 from collections.abc import Iterable
 
