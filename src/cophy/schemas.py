@@ -440,7 +440,7 @@ ACTIONS = ("serve", "export", "simulate", "power")
 
 @dataclass
 class StudyConfig(MakeDataConfig):
-    """study.py. action: what is done with the study. participants: simulated ones of each kind. welcome: Markdown file of the first page, None for the package's."""
+    """Configuration of study.py; conf/study.yaml explains the keys."""
 
     action: str = MISSING
     participants: int = MISSING

@@ -1,6 +1,7 @@
 """A study on the tiny block towers with images of 64 × 64, and browsers that take part in it over HTTP."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -70,13 +71,12 @@ class Site:
 
 @pytest.fixture(scope="session")
 def experiments(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> StudyExperiments:
-    """The experiments of the small study, with images that are drawn once, in this process."""
+    """The experiments of the small study, with images that are drawn once, without processes that import everything again."""
     states, split = States(tiny_spec("blocktower"), tiny_data), settings("study").split
     study = StudyExperiments(states, split, SMALL, tmp_path_factory.mktemp("study"))
-    study.image_directory.mkdir(parents=True)
-    arrays = {name: study.arrays[name][study.shown] for name in experiments_module.RENDERED_ARRAYS}
-    stems = [study.image_directory / str(experiment) for experiment in study.shown]
-    experiments_module._draw(study.scenario, SMALL.resolution, arrays, stems)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiments_module, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
+        study.draw_missing(workers=1)
     return study
 
 

@@ -1,11 +1,13 @@
 """study.py: simulated participants, power, export, and its messages about missing or wrong things."""
 
+import shutil
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from cophy.study.answers import exclusive
+from cophy.study.experiments import StudyExperiments
 from cophy.study.server import listen
 from tests.commands import run
 from tests.study.conftest import Site, take_task
@@ -17,9 +19,9 @@ def study(*words: object, data: Path, directory: Path, code: int = 0) -> str:
     return run("study", *SMALL, *words, f"data_dir={data}", f"directory={directory}", code=code)
 
 
-def test_simulated_participants_power_and_the_report(tiny_data: Path, tmp_path: Path) -> None:
+def test_simulated_participants_and_power(experiments: StudyExperiments, tiny_data: Path, tmp_path: Path) -> None:
     directory = tmp_path / "study" / "blocktower"
-    directory.mkdir(parents=True)
+    shutil.copytree(experiments.directory, directory)
     backup, stale = directory / "simulated.sqlite.2026-pilot", directory / "simulated.sqlite-wal"
     for path in (backup, stale):
         path.write_bytes(b"of another file")
@@ -32,6 +34,11 @@ def test_simulated_participants_power_and_the_report(tiny_data: Path, tmp_path: 
     assert "needs more than 300 participants" in printed  # three simulated ones are too few to see an effect
     assert pd.read_csv(directory / "power.csv")["power"].between(0, 1).all()
     assert (directory / "power.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_the_report_shows_simulated_participants_in_a_table_of_their_own(tiny_data: Path, tmp_path: Path) -> None:
+    study("action=simulate", data=tiny_data, directory=tmp_path / "study" / "blocktower")
     printed = run("report", f"outputs={tmp_path}", f"data_dir={tiny_data}")
     assert "simulated participants" in printed
     assert "0 runs" in printed  # an outputs folder without runs is not an error

@@ -55,15 +55,15 @@ def test_the_error_of_clicking_the_starts_is_the_displacement(experiments: Study
 
 
 def test_the_noisy_oracle_has_the_mean_error_of_the_papers_participants(experiments: StudyExperiments) -> None:
-    """Within 3 % over 4,000 answers, which are not moved to the edge of the image here."""
+    """Within 5 % over 2,000 answers, which are not moved to the edge of the image here."""
     scenes, rng, experiment = experiments.scenes, np.random.default_rng(0), experiments.shown[0]
     ends = scenes.ends(experiment)
     for setting, mean in MEAN_ERROR.items():
         errors = []
-        for _ in range(4000):
+        for _ in range(2000):
             clicks = STRATEGIES["noisy_oracle"](scenes, StudyTask(experiment, setting), rng)
             errors.append(np.mean([np.hypot(*np.subtract(clicks[slot], ends[slot])) for slot in ends]) * 448 / 64)
-        assert np.mean(errors) == pytest.approx(mean, rel=0.03)
+        assert np.mean(errors) == pytest.approx(mean, rel=0.05)
 
 
 def test_simulated_answers_are_reproducible(experiments: StudyExperiments, tmp_path: Path) -> None:

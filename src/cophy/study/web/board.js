@@ -1,4 +1,4 @@
-// The picture of C with marks on it. Each object has a mark of its own shape, its colour, and its name beside it.
+// The image of C with marks. The mark of each object has its own shape, and the object's colour.
 
 const SVG = "http://www.w3.org/2000/svg";
 const RADIUS = 11;
@@ -6,10 +6,10 @@ const RADIUS = 11;
 const CORNERS = [null, 4, 3, 5, 6, 8];
 
 function element(name, attributes, parent) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  parent?.append(made);
-  return made;
+  const node = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+  parent?.append(node);
+  return node;
 }
 
 // The outline of the shape number `index`, around (0, 0).
@@ -32,7 +32,7 @@ export function mark(object, index) {
   return group;
 }
 
-// The same as a small picture, for lists and sentences.
+// The same as a small image, for lists and sentences.
 export function icon(object, index) {
   const picture = element("svg", { viewBox: "-18 -18 36 36", class: "icon", "aria-hidden": "true" });
   picture.append(mark(object, index));
@@ -71,7 +71,7 @@ export class Board {
     if (at) this.cross.setAttribute("transform", `translate(${at.x} ${at.y})`);
   }
 
-  // Draws every click anew. clicks: slot -> {x, y}
+  // Redraws every click. clicks: slot -> {x, y}
   draw(objects, clicks) {
     this.marks.replaceChildren();
     objects.forEach((object, index) => {

@@ -1,4 +1,4 @@
-// A jsPsych plugin: one assignment. The clip plays once if there is one; then the picture appears and the clock begins.
+// A jsPsych plugin: one task. The clip plays once if there is one; then the image appears and the clock begins.
 
 import { Board, icon } from "./board.js";
 import * as server from "./server.js";
@@ -55,12 +55,12 @@ export class PlaceObjectsPlugin {
     await this.#run();
     if (this.expired) return this.#end(false);
     const content = this.#content();
-    let { status, said } = await server.answer(this.task.position, content);
+    let { status, data } = await server.answer(this.task.position, content);
     while (server.isBusy(status)) {
-      await this.#told("Your answer could not be stored yet. Please try again.", "Try again");
-      ({ status, said } = await server.answer(this.task.position, content));
+      await this.#showAndWait("Your answer could not be stored yet. Please try again.", "Try again");
+      ({ status, data } = await server.answer(this.task.position, content));
     }
-    if (said.ends) await this.#compare(said.ends);
+    if (data.ends) await this.#compare(data.ends);
     this.#end(status === 200);
   }
 
@@ -85,7 +85,7 @@ export class PlaceObjectsPlugin {
     });
   }
 
-  // AB once, before C is seen: so C is in sight equally long in both settings.
+  // Play AB once before C appears, so that C is visible equally long in both settings.
   async #watch() {
     this.part(".say").textContent = "Watch the first scene.";
     this.part(".task").classList.add("watching");
@@ -97,11 +97,11 @@ export class PlaceObjectsPlugin {
       await ended;
     }
     video.loop = true;
-    video.play().catch(() => {}); // seen once, it may stand still
+    video.play().catch(() => {}); // it was seen once and may stand still
     this.part(".task").classList.remove("watching");
   }
 
-  // Some browsers play nothing before a press, to save power.
+  // Some browsers do not play a clip before a button is pressed, to save power.
   async #play(video) {
     for (;;) {
       try {
@@ -110,7 +110,7 @@ export class PlaceObjectsPlugin {
         const refused = error.name === "NotAllowedError";
         this.part(".say").textContent = refused
           ? "Press Play to watch the first scene." : "This browser cannot play the clip. Please take another one.";
-        await this.#pressed(refused ? "Play" : "Try again");
+        await this.#waitForPress(refused ? "Play" : "Try again");
         this.part(".say").textContent = "Watch the first scene.";
       }
     }
@@ -119,20 +119,20 @@ export class PlaceObjectsPlugin {
   async #run() {
     const image = new Image();
     Object.assign(image, { src: this.task.picture, alt: "", draggable: false });
-    await image.decode(); // the clock waits for it
+    await image.decode(); // before the clock begins
     const board = this.board = new Board(this.part(".frame"), this.task, image);
-    const { status, said } = await server.begin(this.task.position);
-    if (status !== 200 || said.position !== this.task.position) {
-      this.expired = true; // the time of this assignment is over: it was begun before
+    const { status, data } = await server.begin(this.task.position);
+    if (status !== 200 || data.position !== this.task.position) {
+      this.expired = true; // the time of this task is over: it was begun before
       return;
     }
-    this.began = performance.now() - 1000 * (this.task.seconds - said.remaining_s);
+    this.began = performance.now() - 1000 * (this.task.seconds - data.remaining_s);
     this.running = true;
     await new Promise((done) => {
       this.finish = done;
       this.#listen(board.svg);
       board.svg.focus({ preventScroll: true });
-      this.#ask();
+      this.#update();
       this.#tick();
     });
     this.running = false;
@@ -197,14 +197,14 @@ export class PlaceObjectsPlugin {
     this.clicks.set(next.slot, { ...at, at_ms });
     this.order.push(next.slot);
     this.input = input;
-    this.#ask();
+    this.#update();
   }
 
   #undo() {
     if (!this.running || !this.order.length) return;
     this.clicks.delete(this.order.pop());
     this.undone += 1;
-    this.#ask();
+    this.#update();
   }
 
   #toggleNames() {
@@ -219,8 +219,8 @@ export class PlaceObjectsPlugin {
     if (this.running && !this.#next()) this.finish();
   }
 
-  // Says what to click next, and shows what was clicked.
-  #ask() {
+  // Show what to click next, and what was clicked.
+  #update() {
     const next = this.#next();
     const say = this.part(".say");
     if (next) {
@@ -255,22 +255,22 @@ export class PlaceObjectsPlugin {
     this.board.drawEnds(this.task.objects, this.clicks, ends);
     const marks = this.clicks.size ? " Your marks are joined to them." : "";
     const over = this.#next() ? "Time is up. " : "";
-    await this.#told(`${over}Practice: the large circles show where the objects ended.${marks}`, "Continue");
+    await this.#showAndWait(`${over}Practice: the large circles show where the objects ended.${marks}`, "Continue");
   }
 
-  // Until the person presses the one button that is left.
-  async #told(text, choice) {
+  // Show a text and wait until the participant presses the only button.
+  async #showAndWait(text, label) {
     this.part(".say").textContent = text;
     this.part(".clock").hidden = this.part(".keys").hidden = true;
     for (const item of this.part(".objects").children) item.classList.remove("next");
     this.part(".undo").hidden = this.part(".label").hidden = true;
-    await this.#pressed(choice);
+    await this.#waitForPress(label);
   }
 
-  async #pressed(choice) {
+  async #waitForPress(label) {
     const button = this.part(".done");
     const before = button.textContent;
-    Object.assign(button, { disabled: false, textContent: choice });
+    Object.assign(button, { disabled: false, textContent: label });
     button.focus();
     await new Promise((done) => button.addEventListener("click", done, { once: true }));
     Object.assign(button, { disabled: true, textContent: before });

@@ -1,4 +1,4 @@
-// The study as a jsPsych timeline. The server says where the person is; after each assignment the page asks again.
+// The study as a jsPsych timeline. The server knows where the participant is; after each task the page asks it again.
 
 import { PlaceObjectsPlugin } from "./plugin-place-objects.js";
 import * as server from "./server.js";
@@ -12,31 +12,31 @@ const platformId = PLATFORM_KEYS.map((key) => address.get(key)).find(Boolean) ??
 const jsPsych = initJsPsych({ display_element: "study" });
 
 const [first, opening] = [await server.place(platformId), await server.welcome()];
-let place = first.status === 200 ? first.said : null; // null before consent
+let place = first.status === 200 ? first.data : null; // null before consent
 let failure = null;
-if (opening.status !== 200) failure = opening.said.error;
-if (first.status !== 200 && first.status !== 401) failure = first.said.error;
+if (opening.status !== 200) failure = opening.data.error;
+if (first.status !== 200 && first.status !== 401) failure = first.data.error;
 
 const text = (html, choices) => ({ type: jsPsychHtmlButtonResponse, stimulus: html, choices });
 const later = (work) => ({ type: jsPsychCallFunction, async: true, func: (done) => work().then(done) });
 
 async function begin() {
-  const { status, said } = await server.consent(platformId);
-  if (status === 200) place = said;
-  else failure = said.error;
+  const { status, data } = await server.consent(platformId);
+  if (status === 200) place = data;
+  else failure = data.error;
 }
 
 async function refresh() {
-  const { status, said } = await server.place();
-  if (status === 200) place = said;
-  else failure = said.error;
+  const { status, data } = await server.place();
+  if (status === 200) place = data;
+  else failure = data.error;
 }
 
 const running = () => failure === null && place !== null && !place.code;
 
 const welcome = {
   timeline: [
-    text(`<article class="text">${opening.said.html}</article>`, ["I agree, begin"]),
+    text(`<article class="text">${opening.data.html}</article>`, ["I agree, begin"]),
     later(begin),
   ],
   conditional_function: () => place === null && failure === null,
@@ -81,8 +81,8 @@ const end = text(() => {
   return `<article class="text"><h1>Thank you!</h1><p>You are done. Your completion code is</p><p class="code">${place.code}</p></article>`;
 }, []);
 end.on_load = () => {
-  const said = document.getElementById("failure");
-  if (said) said.textContent = failure;
+  const data = document.getElementById("failure");
+  if (data) data.textContent = failure;
 };
 
 await jsPsych.run([welcome, assignments, end]);
