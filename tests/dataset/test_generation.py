@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import h5py
 import pytest
 from filelock import FileLock
 
@@ -67,6 +68,35 @@ def test_processes_of_the_caller_outlive_a_failed_generation(tmp_path: Path, mon
 
 def interrupted(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
+
+
+def test_intact_shards_are_not_replaced_where_they_cannot_be_read(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    directory = copy(finished, tmp_path)
+    (directory / MANIFEST).unlink()  # so that shards are opened, not only hashed
+
+    def refuse(*args: object, **kwargs: object) -> None:
+        raise OSError(errno.EAGAIN, "unable to lock file")
+
+    monkeypatch.setattr(h5py, "File", refuse)
+    before = {path.name: path.stat().st_mtime_ns for path in directory.glob("shard-*")}
+    with pytest.raises(OSError, match="unable to lock"):
+        generate(tmp_path, workers=1)
+    assert {path.name: path.stat().st_mtime_ns for path in directory.glob("shard-*")} == before
+
+
+def test_a_dataset_is_generated_on_a_file_system_without_locks(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(self: FileLock) -> None:
+        raise NotImplementedError("FileSystem does not appear to support flock")
+
+    monkeypatch.setattr(FileLock, "_acquire", refuse)
+    directory = copy(finished, tmp_path)
+    (directory / MANIFEST).unlink()
+    generate(tmp_path, workers=1)
+    assert digests(directory) == digests(finished)
 
 
 def test_a_truncated_shard_is_named_with_its_remedy_and_made_again(

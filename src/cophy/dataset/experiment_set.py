@@ -7,11 +7,12 @@ import hashlib
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from cophy.dataset.shards import ShardSet
+from cophy.dataset.shards import Sharded, ShardSet
 from cophy.dataset.splits import SPLITS
 from cophy.scenario.rendering import RenderSettings
 
@@ -117,7 +118,14 @@ class OracleSettings:
 
 
 class ExperimentSet(ShardSet):
-    """Experiments of one scenario with one number of objects, as `load` returns them."""
+    """Experiments of one scenario with one number of objects, as `load` returns them.
+
+    script: the script of src/ that generates or indexes them. keys: its command-line keys, which other scripts share.
+    """
+
+    def __init__(self, spec: Sharded, directory: Path, *, title: str, script: str, keys: str) -> None:
+        self._keys = keys
+        super().__init__(spec, directory, title=title, command=f"python src/{script}.py {keys}")
 
     @property
     @abstractmethod
@@ -159,8 +167,8 @@ class ExperimentSet(ShardSet):
         """
 
     def command_for(self, script: str) -> str:
-        """The command that runs another script of src/ on these experiments."""
-        return self.command.replace(self.command.split()[1], f"src/{script}.py")
+        """Return the command that runs a script of src/ on these experiments."""
+        return f"python src/{script}.py {self._keys}"
 
 
 class FrameSource(Protocol):

@@ -73,10 +73,14 @@ class FrameDataset(Dataset[FrameBatch]):
         return FrameBatch(to_image(rgb, self.resolution), *self._truth(item))
 
     def sample(self, count: int, seed: int) -> "FrameDataset":
-        """Keep `count` frames at random, or all where there are no more."""
-        chosen = np.random.default_rng(seed).permutation(len(self.index))[:count]
-        self.index = self.index[np.sort(chosen)]
-        return self
+        """Return a dataset of `count` frames drawn at random, or of all frames if there are no more."""
+        indices = np.random.default_rng(seed).permutation(len(self.index))[:count]
+        return self._restricted_to(self.index[np.sort(indices)])
+
+    def _restricted_to(self, index: np.ndarray) -> "FrameDataset":
+        dataset = copy(self)
+        dataset.index, dataset._readers = index, {}
+        return dataset
 
     @property
     def pairs(self) -> np.ndarray:
@@ -86,8 +90,7 @@ class FrameDataset(Dataset[FrameBatch]):
 
     def sequence_of(self, item: int) -> FrameBatch:
         """All frames, in time, of the sequence that a frame is from."""
-        whole = copy(self)
-        whole.index = self.sequence_index(item)
+        whole = self._restricted_to(self.sequence_index(item))
         return default_collate([whole[time] for time in range(len(whole))])
 
     def sequence_index(self, item: int) -> np.ndarray:

@@ -169,10 +169,16 @@ def progress_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
 
 @contextmanager
 def _locked(directory: Path) -> Iterator[bool]:
-    """One process at a time works on a dataset. What is finished can also be read where nothing can be written: then False."""
+    """Lock a dataset's directory for one process; yields False where the directory cannot be written to.
+
+    File systems without locks get none: two processes would then write the same shards, which appear whole.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     try:
         lock = FileLock(directory / ".lock").acquire()
+    except NotImplementedError:  # of filelock: the file system has no locks
+        yield True
+        return
     except OSError as error:
         if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
             raise

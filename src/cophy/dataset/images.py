@@ -115,7 +115,7 @@ class Images(ShardSet):
             with self.explained(shard):
                 if shard not in opened:
                     self.check(self.path(shard), shard)
-                    opened[shard] = h5py.File(self.path(shard), "r")
+                    opened[shard] = h5py.File(self.path(shard), "r", locking=False)
                 return part(opened[shard], place)
 
         return read

@@ -118,24 +118,34 @@ def reading(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterat
         attributes: of the file.
 
     Raises:
-        DamagedShardError: something is missing, cut off, or not what was expected, also while arrays are read.
+        DamagedShardError: The file is missing arrays, is truncated, or holds something else; also while arrays are read.
+        OSError: The operating system refuses access (permission, input/output error); nothing is known about the file.
+    """
+    with _open_hdf5(path) as file:
+        if any(_attribute_in(file, name) != value for name, value in attributes.items()):
+            raise DamagedShardError("it was made from other files than those next to it")
+        yield {name: _array_in(file, name, field) for name, field in fields.items()}
+
+
+@contextmanager
+def _open_hdf5(path: Path) -> Iterator[h5py.File]:
+    """Open a file for reading; errors that HDF5 finds in it become DamagedShardError.
+
+    Errors of the operating system have an `errno` and pass through: a file must not be replaced because of them. The file
+    is not locked, because shards appear whole, and some file systems have no locks.
     """
     check_plain(path)
     try:
-        with h5py.File(path, "r") as file:
-            if any(_attribute_in(file, name) != value for name, value in attributes.items()):
-                raise DamagedShardError("it was made of other files than those beside it")
-            yield {name: _array_in(file, name, field) for name, field in fields.items()}
+        with h5py.File(path, "r", locking=False) as file:
+            yield file
     except (OSError, KeyError, RuntimeError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
         raise DamagedShardError(" ".join(str(error).split())) from error
 
 
 def check_plain(path: Path) -> None:
-    """Before a file is opened: to open a pipe would wait for ever.
-
-    Raises:
-        DamagedShardError: it is there, and no plain file.
-    """
+    """Raise DamagedShardError for a path that is not a regular file: opening a pipe would block forever."""
     if path.exists() and not path.is_file():
         raise DamagedShardError("it is no plain file")
 
@@ -170,14 +180,10 @@ def attribute(path: Path, name: str) -> str | None:
     """An attribute of a file, or None where it has none that is a text.
 
     Raises:
-        DamagedShardError: it is no HDF5 file.
+        DamagedShardError: The file is not an HDF5 file.
     """
-    check_plain(path)
-    try:
-        with h5py.File(path, "r") as file:
-            return _attribute_in(file, name)
-    except (OSError, RuntimeError) as error:
-        raise DamagedShardError(" ".join(str(error).split())) from error
+    with _open_hdf5(path) as file:
+        return _attribute_in(file, name)
 
 
 MANIFEST = "manifest.json"
@@ -192,17 +198,18 @@ def read_checksums(directory: Path, shards: Sequence[str]) -> dict[str, str] | N
     """SHA-256 per shard as the manifest has them, or None where there is no manifest yet.
 
     Raises:
-        DamagedManifestError: it is no manifest of these shards.
+        DamagedManifestError: The file is not a manifest of these shards.
+        OSError: The operating system refuses access to it.
     """
     path = directory / MANIFEST
     if not path.exists():
         return None
+    if not path.is_file():
+        raise DamagedManifestError("it is no plain file")
     try:
         checksums = json.loads(read_plain(path))["shards"]
         if set(checksums) != set(shards) or not all(isinstance(value, str) for value in checksums.values()):
             raise ValueError("its list of shards is not this dataset's")
-    except OSError as error:
-        raise DamagedManifestError(error.strerror) from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise DamagedManifestError(str(error)) from error
     return dict(checksums)
@@ -394,8 +401,8 @@ class ShardSet(ABC):
         try:
             yield
         except (DamagedShardError, OSError) as error:
-            if isinstance(error, OSError) and error.errno not in (None, errno.ENOENT, errno.EIO):
-                raise  # no permission, too many open files: nothing is wrong with the shard
+            if isinstance(error, OSError) and error.errno not in (None, errno.ENOENT):
+                raise  # the operating system refuses access: nothing is known about the shard
             raise CophyError(
                 f"{self.path(shard)} is damaged ({error}): run `{self.command}` to make it again"
             ) from error
@@ -405,11 +412,7 @@ class ShardSet(ABC):
 
     def _compare(self, shard: int, checksum: str | None) -> None:
         check_plain(self.path(shard))
-        try:
-            found = None if checksum is None else sha256(self.path(shard))
-        except OSError as error:
-            raise DamagedShardError(error.strerror or str(error)) from error
-        if found != checksum:
+        if checksum is not None and sha256(self.path(shard)) != checksum:
             raise DamagedShardError(f"its checksum is not the one in {MANIFEST}")
 
     def _verified(self, shard: int, checksum: str) -> Arrays:

@@ -89,8 +89,8 @@ class DatasetSpec:
         """Where the dataset lies."""
         return data_dir / self.scenario.name / self.id
 
-    def command(self, directory: Path) -> str:
-        """The command that makes, continues or repairs this dataset in its directory."""
-        names = f"scenario={self.scenario.name} size={self.size.name}"
-        keys = f"'num_objects=[{self.num_objects}]' data_seed={self.data_seed} data_dir={directory.parents[1]}"
-        return " ".join(["python src/generate.py", names, keys, *map(shlex.quote, self.overrides)])
+    def command_line_keys(self, directory: Path) -> str:
+        """Return the keys by which a command names this dataset in its directory."""
+        names = f"scenario={self.scenario.name} size={self.size.name} 'num_objects=[{self.num_objects}]'"
+        places = f"data_seed={self.data_seed} data_dir={directory.parents[1]}"
+        return " ".join([names, places, *map(shlex.quote, self.overrides)])

@@ -29,7 +29,7 @@ class States(ExperimentSet):
     def __init__(self, spec: DatasetSpec, data_dir: Path) -> None:
         directory = spec.directory(data_dir)
         title = f"{spec.scenario.name}, {spec.num_objects} objects"
-        super().__init__(spec, directory, title=title, command=spec.command(directory))
+        super().__init__(spec, directory, title=title, script="generate", keys=spec.command_line_keys(directory))
 
     @property
     def id(self) -> str:

@@ -139,8 +139,9 @@ class ReleasedStates(ExperimentSet):
             spec,
             data_dir / scenario.name / spec.id,
             title=f"index of {scenario.name}, {num_objects} objects",
-            command=(
-                f"python src/audit.py source={released_format.name} source.root={root} scenario={scenario.name} "
+            script="audit",
+            keys=(
+                f"source={released_format.name} source.root={root} scenario={scenario.name} "
                 f"split={split.name} 'num_objects=[{num_objects}]' data_dir={data_dir}"
             ),
         )

@@ -22,7 +22,7 @@ def test_estimates_of_other_pictures_are_made_again(
     copied.directory.joinpath("manifest.json").write_text(
         rendered.directory.joinpath("manifest.json").read_text().replace(copied.checksums()["shard-00001.h5"], "0" * 64)
     )
-    with pytest.raises(CophyError, match=r"shard-00001\.h5 is damaged \(it was made of other files"):
+    with pytest.raises(CophyError, match=r"shard-00001\.h5 is damaged \(it was made from other files"):
         estimates.load()
     for path in copied.directory.glob("*"):
         path.unlink()

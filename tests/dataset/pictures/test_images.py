@@ -111,7 +111,7 @@ def test_pictures_of_other_states_are_drawn_again(
     with h5py.File(copied.path(0), "r+") as file:
         file.attrs["states_sha256"] = "0" * 64
     generation.make(copied, workers=1)
-    assert "shard-00000.h5 is damaged (it was made of other files" in caplog.text
+    assert "shard-00000.h5 is damaged (it was made from other files" in caplog.text
 
 
 def test_pictures_of_other_states_are_not_read(rendered: Images, tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_pictures_of_other_states_are_not_read(rendered: Images, tmp_path: Path)
     with h5py.File(copied.path(0), "r+") as file:
         file.attrs["states_sha256"] = "0" * 64
     frames = FrameDataset([(copied, copied.states.load())], split="train", resolution=16)
-    with pytest.raises(CophyError, match=r"shard-00000\.h5 is damaged \(it was made of other files"):
+    with pytest.raises(CophyError, match=r"shard-00000\.h5 is damaged \(it was made from other files"):
         frames[0]
 
 

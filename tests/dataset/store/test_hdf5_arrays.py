@@ -57,14 +57,14 @@ def test_a_file_made_of_other_files_is_damage(tmp_path: Path) -> None:
         stored["mass"][:] = ARRAYS["mass"]
     with reading(path, FIELDS, {"states_sha256": "a"}) as stored:
         np.testing.assert_array_equal(stored["mass"][()], ARRAYS["mass"])
-    with pytest.raises(DamagedShardError, match="made of other files"), reading(path, FIELDS, {"states_sha256": "b"}):
+    with pytest.raises(DamagedShardError, match="made from other files"), reading(path, FIELDS, {"states_sha256": "b"}):
         pass
     for spoil in (lambda file: file.attrs.update(states_sha256=["a", "a"]), with_unknown_attribute):
         with h5py.File(path, "r+") as file:
             spoil(file)
         assert attribute(path, "states_sha256") is None
         with (
-            pytest.raises(DamagedShardError, match="made of other files"),
+            pytest.raises(DamagedShardError, match="made from other files"),
             reading(path, FIELDS, {"states_sha256": "a"}),
         ):
             pass
@@ -84,3 +84,27 @@ def test_a_disk_that_is_full_as_hdf5_closes_a_file_is_named(tmp_path: Path) -> N
     assert raised.value.errno == errno.ENOSPC
     with pytest.raises(RuntimeError, match="no write intent"), creating(tmp_path / "shard.h5", FIELDS, {}):
         raise RuntimeError("no write intent on file")
+
+
+@pytest.mark.parametrize("code", [errno.EACCES, errno.EIO, errno.EAGAIN])
+def test_an_error_of_the_operating_system_is_not_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    def fail(*args: object, **kwargs: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    path = tmp_path / "shard.h5"
+    path.write_bytes(encode(ARRAYS, FIELDS, {}))
+    monkeypatch.setattr(h5py, "File", fail)
+    with pytest.raises(OSError, match=os.strerror(code)), reading(path, FIELDS, {}):
+        pass
+    with pytest.raises(OSError, match=os.strerror(code)):
+        attribute(path, "states_sha256")
+
+
+@pytest.mark.parametrize("content", [b"", b"no HDF5", b"\x89HDF\r\n\x1a\n"])
+def test_a_file_that_is_no_hdf5_is_damage(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "shard.h5"
+    path.write_bytes(content)
+    with pytest.raises(DamagedShardError), reading(path, FIELDS, {}):
+        pass
