@@ -30,8 +30,6 @@ STILL = {
     ("dataset", "released"),
     ("dataset", "oracles"),
     ("training", "oracles"),
-    ("report", "study"),
-    ("report", "audit"),
     ("oracles", "training"),
 }
 

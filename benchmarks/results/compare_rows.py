@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from cophy.bootstrap import interval, mean
-from cophy.report.runs import read_configuration, read_line
+from cophy.report.runs import read_line
 from cophy.report.tables import stored_errors
 from cophy.training.run import METRICS
 
@@ -42,16 +42,11 @@ def main(ours: str, other: str, outputs: Path) -> None:
 
 
 def run_of(path: Path) -> dict[str, object]:
-    """A run's line, the name that it has here, and what its errors are read with."""
-    line, configuration = read_line(path), read_configuration(path.parent / ".hydra" / "config.yaml")
+    """Return the line of a run, with the name that it has here."""
+    line = read_line(path)
     ablation = "" if line["ablation"] == "full" else f"+ablation-{line['ablation']}"
     variant = line["variant"].replace(f"+size-{line['size']}", "")
-    return line | {
-        "name": f"{line['model']}{ablation}{variant}",
-        "directory": path.parent,
-        "metric_dims": configuration.scenario.task.metric_dims,
-        "epochs": configuration.trainer.max_epochs * configuration.split.get("epochs_factor", 1),
-    }
+    return line | {"name": f"{line['model']}{ablation}{variant}"}
 
 
 def compared(ours: pd.DataFrame, other: pd.DataFrame) -> dict[str, object]:

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from cophy.atomic_files import write_atomically
-from cophy.report.runs import read_configuration, read_line
+from cophy.report.runs import read_line
 from cophy.report.tables import share_of_gain, stored_errors
 from cophy.training.run import METRICS
 
@@ -68,15 +68,8 @@ def committed() -> str:
 
 def line_of(path: Path, commit: str) -> dict[str, object]:
     """A run's line of the table."""
-    line, configuration = read_line(path), read_configuration(path.parent / ".hydra" / "config.yaml")
-    epochs = configuration.trainer.max_epochs * configuration.split.get("epochs_factor", 1)
-    return line | {
-        "datasets": " ".join(line["dataset_ids"]),
-        "max_epochs": epochs,
-        "commit": commit,
-        "directory": path.parent,
-        "metric_dims": configuration.scenario.task.metric_dims,
-    }
+    line = read_line(path)
+    return line | {"datasets": " ".join(line["dataset_ids"]), "max_epochs": line["epochs"], "commit": commit}
 
 
 def shares(tested: pd.DataFrame) -> list[list[float]]:

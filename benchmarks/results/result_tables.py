@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 from keep_results import TABLE
 
-from cophy.report.tables import published_mse
+from cophy.report.paper_tables import published_mse
 
 ROWS = {  # model and ablation, as the tables of the paper name them
     ("copy_c", "full"): "copy C",

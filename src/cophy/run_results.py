@@ -12,8 +12,9 @@ from rich.console import Console
 from rich.table import Table
 
 from cophy.errors import CophyError
+from cophy.report.paper_tables import published_mse
 from cophy.report.runs import read_line
-from cophy.report.tables import published_mse, share_of_gain, stored_errors
+from cophy.report.tables import share_of_gain, stored_errors
 from cophy.training.run import METRICS, Run
 
 ORACLES = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB

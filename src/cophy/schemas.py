@@ -20,6 +20,7 @@ from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
 from cophy.models.cophynet import ConfounderSource, Decoding, Gating, Interaction
 from cophy.models.derenderer import Readout
+from cophy.report.paper_tables import register_tables
 from cophy.scenario import Balls, Blocktower, Collision, Scenario
 from cophy.scenario.rendering import RenderSettings
 from cophy.study.plan import Limits, StudySettings
@@ -492,7 +493,8 @@ SCHEMAS: dict[str, dict[str, type]] = {
 
 
 def register() -> None:
-    """Make the schemas known to Hydra, as `schema/<group>/<name>`."""
+    """Make the schemas known to Hydra, as `schema/<group>/<name>`, and the groups `row` and `table`."""
+    register_tables()
     store = ConfigStore.instance()
     for group, schemas in SCHEMAS.items():
         for name, schema in schemas.items():

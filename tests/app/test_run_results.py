@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cophy.report.tables import published_mse
+from cophy.report.paper_tables import published_mse
 from tests.commands import train
 
 ROW = ("scenario=collision",)

@@ -13,16 +13,16 @@ import pytest
 from hypothesis import note
 from hypothesis import strategies as st
 
+from cophy.commands.report import ComposedData
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.report_choices import ComposedChoices
 from cophy.study.answers import AnswerStore
 from cophy.study.judging import read_clicks, read_participants
 from cophy.study.report import draw_studies, read_answers, study_tables
 from tests.attacks.faults import FAULTS
 from tests.attacks.often import often
 from tests.conftest import tiny_spec
-from tests.report.people.test_people import description, write_answers
+from tests.study.test_participants_in_report import description, write_answers
 
 HUGE = 2**30
 USES: tuple[Callable[[Path], object], ...] = (
@@ -48,7 +48,7 @@ def content(path: Path) -> bytes | None:
     return path.read_bytes() if path.is_file() and path.stat().st_size < HUGE else None
 
 
-def attack(whole: Path, world: Path, choices: ComposedChoices, caplog: pytest.LogCaptureFixture, draw: Any) -> None:
+def attack(whole: Path, world: Path, choices: ComposedData, caplog: pytest.LogCaptureFixture, draw: Any) -> None:
     shutil.rmtree(world, ignore_errors=True)
     shutil.copytree(whole, world)
     path = world / "study" / "x" / "answers.sqlite"
@@ -59,7 +59,7 @@ def attack(whole: Path, world: Path, choices: ComposedChoices, caplog: pytest.Lo
     caplog.clear()
     with warnings.catch_warnings(), caplog.at_level(logging.INFO):
         warnings.simplefilter("ignore")  # of numbers that are wrong, but numbers
-        found = read_answers(world, choices)
+        found = read_answers(world, choices.dataset)
         study_tables(found)
         list(draw_studies(found))
     said = " ".join(caplog.text.split())
@@ -76,21 +76,21 @@ def attack(whole: Path, world: Path, choices: ComposedChoices, caplog: pytest.Lo
 
 
 @pytest.fixture
-def choices(tiny_data: Path) -> ComposedChoices:
+def choices(tiny_data: Path) -> ComposedData:
     """That compose once what is asked again and again."""
-    found = ComposedChoices("generated", tiny_data)
+    found = ComposedData("generated", tiny_data)
     found.dataset = cache(found.dataset)  # type: ignore[method-assign]
     return found
 
 
 def test_a_wrong_file_of_answers_is_named_or_does_no_harm(
-    whole: Path, choices: ComposedChoices, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    whole: Path, choices: ComposedData, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     often(30, lambda draw: attack(whole, tmp_path / "world", choices, caplog, draw))
 
 
 @pytest.mark.slow
 def test_many_wrong_files_of_answers_are_named_or_do_no_harm(
-    whole: Path, choices: ComposedChoices, tmp_path: Path, caplog: pytest.LogCaptureFixture, attacks: int
+    whole: Path, choices: ComposedData, tmp_path: Path, caplog: pytest.LogCaptureFixture, attacks: int
 ) -> None:
     often(40 * attacks, lambda draw: attack(whole, tmp_path / "world", choices, caplog, draw))

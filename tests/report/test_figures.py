@@ -10,8 +10,10 @@ from matplotlib.figure import Figure
 
 from cophy.config import settings
 from cophy.report import figures
-from cophy.report.figures import draw_bars, of_predictions, write_figure
-from cophy.report.tables import fill, paper_tables
+from cophy.report.figures import draw_bars, draw_predictions, write_figure
+from cophy.report.paper_tables import paper_tables
+from cophy.report.predictions import StoredPredictions
+from cophy.report.tables import Errors, fill
 from tests.report.lines import measured
 
 TABLE, COLLISION = (next(table for table in paper_tables() if table.id == name) for name in ("blocktower", "collision"))
@@ -29,7 +31,7 @@ def test_only_what_was_run_has_bars() -> None:
 
 
 def test_titles_of_panels_keep_their_words_whole() -> None:
-    splits = COLLISION.columns if COLLISION.methods == "rows" else COLLISION.rows
+    splits = COLLISION.columns if COLLISION.methods_in == "rows" else COLLISION.rows
     chosen = [names["split"] for names in splits.values()]
     runs = [measured("mse", 0.3, "copy_c", scenario="collision", split=split) for split in chosen]
     figure = draw_bars(fill(COLLISION, pd.DataFrame(runs)))
@@ -58,21 +60,19 @@ def test_curves_are_of_the_largest_size_and_the_longest_training(monkeypatch: py
         measured("mse", 0.5, "oracle_feedforward", directory="oracle", size="paper", num_train=700, num_test=100),
     ])  # fmt: skip
 
-    def predictions(directory: str) -> dict[str, np.ndarray]:
-        target, present = np.zeros((2, 3, 4, 3)), np.ones((2, 4), dtype=bool)
-        position = target + np.sqrt(errors[directory])
-        return {
-            "initial": target[:, 0],
-            "position": position,
-            "target": target,
-            "presence": present,
-            "pair": np.arange(2),
-        }
+    def stored(directory: str) -> StoredPredictions:
+        examples = {name: np.zeros((2, 3, 4, 3)) for name in ("position", "target")}
+        examples |= {"initial": np.zeros((2, 4, 3)), "presence": np.ones((2, 4), dtype=bool), "pair": np.arange(2)}
+        curve = np.full(3, errors[directory])
+        return StoredPredictions(Errors(np.zeros(2), np.arange(2), np.zeros(2)), curve, examples, None)
 
     curves: dict[str, np.ndarray] = {}
-    monkeypatch.setattr(figures, "read_predictions", predictions)
-    monkeypatch.setattr(figures, "draw_error_over_time", lambda found, **options: curves.update(found) or Figure())
-    drawn = [name for name, _ in of_predictions(runs, {"blocktower": settings("train").scenario})]
+    monkeypatch.setattr(figures, "draw_error_over_time", lambda by_row, **options: curves.update(by_row) or Figure())
+    scenarios = {"blocktower": settings("train").scenario}
+    predictions = {directory: stored(directory) for directory in errors}
+    drawn = [name for name, _ in draw_predictions(runs, predictions, scenarios, all_trajectories=False)]
+    assert drawn[0] == "trajectories-blocktower-3to3-cophynet"
+    assert len(list(draw_predictions(runs, predictions, scenarios, all_trajectories=True))) == 3
     assert drawn[-1] == "error_over_time-blocktower-3to3"
     assert list(curves) == ["cophynet", "oracle_feedforward (first 100)"]
-    assert [curve.max() for curve in curves.values()] == pytest.approx([0.0, np.sqrt(1.5)])  # of three coordinates
+    assert [curve.max() for curve in curves.values()] == [0.0, 0.5]

@@ -1,29 +1,123 @@
-"""Tables and figures from outputs/, ours beside the paper's numbers: python src/report.py"""
+"""Tables and figures from outputs/, ours next to the paper's numbers: python src/report.py"""
 
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import hydra
+from hydra.errors import HydraException
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
 from cophy import cli
-from cophy.config import CONF, to_config
-from cophy.schemas import ReportConfig, register
+from cophy.config import CONF, composed, generated_by, to_config
+from cophy.dataset.source import GENERATED
+from cophy.dataset.splits import Split
+from cophy.dataset.states import States
+from cophy.errors import CophyError
+from cophy.released.formats import FORMATS
+from cophy.scenario import Scenario
+from cophy.schemas import GenerateConfig, ReportConfig, TrainConfig, register
 
 register()
+
+# an override of a scenario or a size, as `DatasetSpec` has it; a file of answers may hold any text
+DATA_OVERRIDE = re.compile(r"\+\+(scenario|size)\.[\w.]+=[^${}]*")
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="report")
 @cli.in_one_line
 def main(cfg: DictConfig) -> None:
-    from cophy.report.pipeline import write_report  # matplotlib takes a second to import; --help does not need it
-    from cophy.report_choices import ComposedChoices
+    from cophy.report.pipeline import Configurations, write_report  # matplotlib takes a second; --help does not need it
+    from cophy.study.report import read_supplement
 
-    settings = to_config(cfg, ReportConfig)
-    choices = ComposedChoices(settings.source.name, Path(settings.data_dir))
-    twins = settings.source.is_generated  # only generated data have them
-    write_report(Path(settings.outputs), Path(settings.directory), choices, has_twins=twins, show_all=settings.all)
+    config = to_config(cfg, ReportConfig)
+    data = ComposedData(config.source.name, Path(config.data_dir))
+    dataset = data.dataset if config.source.is_generated else None
+    configurations = Configurations(data.scenario, data.split, dataset, data.dataset_ids)
+    outputs = Path(config.outputs)
+    supplement = read_supplement(outputs, data.dataset)
+    write_report(outputs, Path(config.directory), configurations, supplement, show_all=config.all)
+
+
+class ComposedData:
+    """Scenarios, splits and datasets by the names of the configuration; each is composed once.
+
+    Args:
+        source: Source of the data that the runs are on.
+        data_dir: Where datasets are kept.
+    """
+
+    def __init__(self, source: str, data_dir: Path) -> None:
+        self.source, self.data_dir = source, data_dir
+        self.train = cache(self._train)
+        self.generate = cache(self._generate)
+
+    def scenario(self, name: str) -> Scenario:
+        """Return the scenario of a name."""
+        return self.train(f"scenario={name}").scenario
+
+    def split(self, scenario: str, name: str) -> Split:
+        """Return a split of a scenario."""
+        return self.train(f"scenario={scenario}", f"split={name}").split
+
+    def dataset_ids(self, scenario: str, size: str) -> frozenset[str] | None:
+        """Return the ids of today's datasets of a scenario and size; None for released data, which do not change.
+
+        Raises:
+            CophyError: There is no such scenario or size, or it is of another source (runs on released data name it there).
+        """
+        source = size if size in FORMATS else GENERATED
+        if source != self.source:
+            raise CophyError(f"its data are of source={source}, and these tables of source={self.source}")
+        if source != GENERATED:
+            return None
+        config = self.generate(f"scenario={scenario}", f"size={size}")
+        counts = list(self.scenario(scenario).num_objects)
+        return frozenset(states.id for states in generated_by(replace(config, num_objects=counts)))
+
+    def dataset(
+        self, scenario: str, num_objects: int, size: str, data_seed: int = 0, overrides: Sequence[str] = ()
+    ) -> States:
+        """Return a generated dataset.
+
+        Args:
+            scenario: Name of its scenario.
+            num_objects: Number of objects in A of every experiment.
+            size: Name of its size.
+            data_seed: Its seed.
+            overrides: What it changes beyond its names, see `DatasetSpec`.
+
+        Raises:
+            CophyError: This is no configuration of data.
+        """
+        if invalid := [override for override in overrides if not DATA_OVERRIDE.fullmatch(override)]:
+            raise CophyError(f"{invalid[0]!r} is no override of a scenario or a size")
+        config = self.generate(f"scenario={scenario}", f"size={size}", f"data_seed={data_seed}", *overrides)
+        (states,) = generated_by(replace(config, num_objects=[num_objects], data_dir=str(self.data_dir)))
+        return states
+
+    def _train(self, *overrides: str) -> TrainConfig:
+        with _explained():
+            return to_config(composed("train", f"source={self.source}", *overrides), TrainConfig)
+
+    def _generate(self, *overrides: str) -> GenerateConfig:
+        with _explained():
+            return to_config(composed("generate", *overrides), GenerateConfig)
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """Report errors of Hydra in one line."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise CophyError(cli.explain(error)) from error
 
 
 def run() -> None:
-    """The command, as `pip install` puts it on the PATH."""
+    """Run the command `cophy-report`."""
     cli.run(main)

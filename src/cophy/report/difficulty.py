@@ -1,11 +1,9 @@
-"""MSE by difficulty as a page and as figures.
-
-Errors by difficulty, do-operation and cell: on which experiments a model fails.
-"""
+"""MSE by difficulty, do-operation and cell: on which experiments a model fails, as a table, a page and figures."""
 
 import logging
 import textwrap
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,19 +17,19 @@ from cophy.dataset.difficulty import difficulty
 from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
-from cophy.report.figures import in_order, row_name
-from cophy.report.runs import of_seeds
+from cophy.report.figures import row_name, sort_rows
+from cophy.report.predictions import StoredPredictions
+from cophy.report.runs import comparable_seeds
 from cophy.scenario import Scenario
 from cophy.training.metrics import mean_squared_error, twin_difference
-from cophy.training.run import read_predictions
 from cophy.types import Prediction, Targets
 
 log = logging.getLogger(__name__)
 
 SECTION = ("scenario", "split", "positions", "size")
 ALL = "all"
-NAMED = {"cell": "cell", "twins": "cells of both twins", "do_operation": "do-operation"}
-OF_PAIRS = (ALL, "twins")  # groups for which the share of the twins' difference that is explained is given too
+CATEGORIES = {"cell": "cell", "twins": "cells of both twins", "do_operation": "do-operation"}
+WHOLE_PAIRS = (ALL, "twins")  # these groups hold whole twin pairs
 NUMBERS = {
     "displacement": "displacement (m)",
     "observed_difference": "AB: distance from the twin's (m)",
@@ -39,61 +37,72 @@ NUMBERS = {
     "observed_margin": "A: margin of the tower (m)",
     "counterfactual_margin": "C: margin of the tower (m)",
 }
-WORDS = {ALL: "all", **NAMED, **NUMBERS}
+TITLES = {ALL: "all", **CATEGORIES, **NUMBERS}
 RELATIVE_MSE_TOLERANCE = 1e-4  # float32, summed in another order
 
 
-def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: DatasetSpec, part: Part) -> pd.DataFrame:
+def mse_by_difficulty(
+    runs: pd.DataFrame,
+    stored: Mapping[Path, StoredPredictions],
+    arrays: dict[str, np.ndarray],
+    spec: DatasetSpec,
+    part: Part,
+) -> pd.DataFrame:
     """Break the test MSE of runs down by what makes an experiment hard.
 
     Args:
-        runs: Finished predictors (see `read_runs`) that were tested on this part of the dataset. One whose predictions
-            are of something else, or of a part, is left out; the log names it. Of a row, those of `of_seeds` count.
+        runs: Finished predictors (see `read_runs`) that were tested on this part of the dataset. A run whose predictions
+            are not of the whole test split is left out; the log names it. A row shows its `comparable_seeds`.
+        stored: Predictions of these runs by directory, with all arrays.
         arrays: The dataset.
         spec: Its description.
         part: The part that is tested on.
 
     Returns:
         One line per row of a table and group of experiments: experiments, seeds, mse (m²), low and high of its interval.
-        Where groups hold whole twin pairs (OF_PAIRS): explained, explained_low and explained_high, shares of the twins'
+        Where groups hold whole twin pairs (WHOLE_PAIRS): explained, explained_low and explained_high, shares of the twins'
         difference; NaN elsewhere.
     """
     tested = part.select_split(arrays, "test")
-    chosen = {name: array[tested] for name, array in arrays.items()}
-    truth, lines = to_batch(chosen, spec.scenario).targets, []
-    told = difficulty(arrays, spec)
-    values = {name: told[name][tested] for name in WORDS if name in told}
-    for keys, found in runs.groupby([*SECTION, "model", "ablation"]):
-        each = [error for run in of_seeds(found).to_dict("records") if (error := _errors(run, truth, spec)) is not None]
-        if not each:
+    test_arrays = {name: array[tested] for name, array in arrays.items()}
+    truth, twins, lines = to_batch(test_arrays, spec.scenario).targets, test_arrays["twin"], []
+    measures = difficulty(arrays, spec)
+    values = {name: measures[name][tested] for name in TITLES if name in measures}
+    for keys, row_runs in runs.groupby([*SECTION, "model", "ablation"]):
+        seeds = [
+            errors
+            for run in comparable_seeds(row_runs).to_dict("records")
+            if (errors := _errors(run, stored[run["directory"]].arrays, truth, spec)) is not None
+        ]
+        if not seeds:
             continue
         names = [str(key) for key in keys]
         section = dict(zip(SECTION, names, strict=False)) | {"row": row_name(*names[-2:])}
-        errors, twin_error, twin_size = np.mean(each, axis=0)
+        errors, twin_error, twin_size = np.mean(seeds, axis=0)
         for by, group, rows in groups(values):
-            low, high = interval(errors[rows], chosen["twin"][rows])
-            counts = {"experiments": int(rows.sum()), "seeds": len(each)}
+            low, high = interval(errors[rows], twins[rows])
+            counts = {"experiments": int(rows.sum()), "seeds": len(seeds)}
             numbers = {"mse": mean(errors[rows]), "low": low, "high": high}
-            if by in OF_PAIRS:
+            if by in WHOLE_PAIRS:
                 explained = Ratio(twin_size[rows] - twin_error[rows], twin_size[rows])
-                ends = interval(explained, chosen["twin"][rows])
+                ends = interval(explained, twins[rows])
                 numbers |= {"explained": mean(explained), "explained_low": ends[0], "explained_high": ends[1]}
             lines.append({**section, "by": by, "group": group, **counts, **numbers})
     return pd.DataFrame(lines)
 
 
 def groups(values: dict[str, np.ndarray]) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(by, name of the group, (experiment,) bool): all experiments, then those of each name, and thirds of each number.
+    """Yield by, name of the group, (experiment,) bool: all experiments, each category, and thirds of each number.
 
     Equal numbers stay together, experiments without the number (NaN) are in no group, and empty groups are left out.
     """
     yield ALL, ALL, np.ones(len(next(iter(values.values()))), dtype=bool)
     for by, value in values.items():
-        found = _of_each_name(value) if by in NAMED else _thirds(value)
-        yield from ((by, name, rows) for name, rows in found if rows.any())
+        parts = _categories(value) if by in CATEGORIES else _thirds(value)
+        yield from ((by, name, rows) for name, rows in parts if rows.any())
 
 
-def _of_each_name(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
+def _categories(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
     names = np.unique(value).tolist()
     return [(name.replace("_", " "), value == name) for name in names] if len(names) > 1 else []
 
@@ -105,42 +114,45 @@ def _thirds(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
     return [(f"{edges[k]:.3g} to {edges[k + 1]:.3g}", known & (third == k)) for k in range(3)]
 
 
-def _errors(run: dict[Any, Any], truth: Targets, spec: DatasetSpec) -> np.ndarray | None:
-    """(3, experiment) of one run: MSE, and error and size of the twins' difference (see `TwinDifference`). None where its predictions are not of this whole test split, or not those it was judged by."""
-    directory = run["directory"]
-    found = read_predictions(directory)
-    asked, all_of_them = len(found["target"]), len(truth.position)
+def _errors(
+    run: dict[Any, Any], predictions: dict[str, np.ndarray] | None, truth: Targets, spec: DatasetSpec
+) -> np.ndarray | None:
+    """Return (3, experiment) MSE, and error and size of the twins' difference (see `TwinDifference`), of one run.
+
+    None where its predictions are not of this whole test split, or do not give the MSE of its metrics.json.
+    """
+    assert predictions is not None
+    directory, count, total = run["directory"], len(predictions["target"]), len(truth.position)
     if spec.id not in run["dataset_ids"] or not (
-        np.array_equal(found["target"], truth.position[:asked])
-        and np.array_equal(found["presence"], truth.presence[:asked])
+        np.array_equal(predictions["target"], truth.position[:count])
+        and np.array_equal(predictions["presence"], truth.presence[:count])
     ):
-        log.error("%s: its predictions are not of the test split of %s: make that run again", directory, spec.id)
+        log.error("%s: its predictions are not of the test split of %s: run it again", directory, spec.id)
         return None
-    if asked < all_of_them:  # an oracle, whose groups would hold other experiments than those of the models
-        log.info("%s: not broken down by difficulty, as it was asked about %d of %d test experiments",
-                 directory, asked, all_of_them)  # fmt: skip
+    if count < total:  # an oracle; its groups would hold other experiments than those of the models
+        log.info("%s: not in MSE by difficulty, as it predicted %d of %d test experiments", directory, count, total)
         return None
-    by_chance = torch.from_numpy(found["draw_variance"]) if "draw_variance" in found else None
-    prediction = Prediction(torch.from_numpy(found["position"]), draw_variance=by_chance)
+    variance = torch.from_numpy(predictions["draw_variance"]) if "draw_variance" in predictions else None
+    prediction = Prediction(torch.from_numpy(predictions["position"]), draw_variance=variance)
     dims = spec.scenario.task.metric_dims
     errors = mean_squared_error(dims)(prediction, truth).double().numpy()
     if not np.isclose(errors.mean(), run["mse"], rtol=RELATIVE_MSE_TOLERANCE):
-        log.error("%s: its predictions have MSE %.6f, its metrics.json says %.6f: make that run again",
-                  directory, errors.mean(), run["mse"])  # fmt: skip
+        message = "%s: its predictions have MSE %.6f, its metrics.json says %.6f: run it again"
+        log.error(message, directory, errors.mean(), run["mse"])
         return None
-    of_twins = twin_difference(prediction, truth, dims)
-    return np.stack([errors, of_twins.error.numpy(), of_twins.size.numpy()])
+    twins = twin_difference(prediction, truth, dims)
+    return np.stack([errors, twins.error.numpy(), twins.size.numpy()])
 
 
 MAX_PANELS_PER_ROW = 4
-PANEL_LETTERS = 42  # that fit beside each other below a panel
+PANEL_LETTERS = 42  # that fit next to each other below a panel
 GROUP_WIDTH = 0.6  # of all models of a group together, as a share of the distance between groups
 EXPLANATION = """# MSE by difficulty
 
 The default split of each scenario, test experiments, mean over seeds. [ ]: 95 % bootstrap interval over the twin pairs of the group; n:
-experiments in it. What is a number is broken down by thirds.
+experiments in it. Numbers are broken down by thirds.
 
-- cell: what the generator was told to make ({cells}).
+- cell: what the generator was asked for ({cells}).
 - cells of both twins: the same, for twin pairs. A second table has the share of the twins' difference that a row explains in
   each: 0 % for any model without AB, 100 % for a perfect one.
 - displacement: by the do-operation; removals have none.
@@ -151,27 +163,29 @@ experiments in it. What is a number is broken down by thirds.
 
 
 def page(lines: pd.DataFrame, scenarios: Mapping[str, Scenario]) -> str:
-    """Markdown: per scenario, split, positions and size a table of groups × rows, those with the largest MSE first."""
+    """Return Markdown: a table of groups × rows per scenario, split, positions and size, the largest MSE first."""
     meanings = [f"{name}: {meaning}" for name, scenario in scenarios.items() if (meaning := scenario.cell_meaning())]
     explanation = EXPLANATION.format(cells="; ".join(meanings) or "there is only one")
-    return "\n".join([explanation, *(f"## {', '.join(keys)}\n\n{_table(found)}\n" for keys, found in _sections(lines))])
+    return "\n".join(
+        [explanation, *(f"## {', '.join(keys)}\n\n{_table(section)}\n" for keys, section in _sections(lines))]
+    )
 
 
 def draw(lines: pd.DataFrame, scenarios: Mapping[str, Scenario]) -> Iterator[tuple[str, Figure]]:
-    """Name and figure of each section of the page: a panel per way to break down, models (no ablations) with intervals."""
-    for keys, found in _sections(lines):
+    """Yield name and figure of each section of the page: a panel per breakdown, models (no ablations) with intervals."""
+    for keys, section in _sections(lines):
         meaning = scenarios[keys[0]].cell_meaning()
-        titles = {**WORDS, "cell": f"cell: {meaning}" if meaning else "cell"}
-        yield "-".join(["difficulty", *keys]), _panels(found, ", ".join(keys), titles)
+        titles = {**TITLES, "cell": f"cell: {meaning}" if meaning else "cell"}
+        yield "-".join(["difficulty", *keys]), _panels(section, ", ".join(keys), titles)
 
 
 def _sections(lines: pd.DataFrame) -> Iterator[tuple[list[str], pd.DataFrame]]:
-    for keys, found in lines.groupby(list(SECTION)):
-        yield [str(key) for key in keys if key != "ground_truth"], found
+    for keys, section in lines.groupby(list(SECTION)):
+        yield [str(key) for key in keys if key != "ground_truth"], section
 
 
 def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figure:
-    panels = [by for by in WORDS if by != ALL and by in set(frame["by"])]
+    panels = [by for by in TITLES if by != ALL and by in set(frame["by"])]
     rows = -(-len(panels) // MAX_PANELS_PER_ROW)
     columns = -(-len(panels) // rows)
     figure = Figure(figsize=(1.6 + 3.0 * columns, 0.5 + 3.0 * rows), layout="constrained")
@@ -179,7 +193,7 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
     axes[0, 0].set_yscale("function", functions=(lambda mse: np.sqrt(np.maximum(mse, 0)), np.square))
     for axis, by in zip(axes.flat, panels, strict=False):
         _panel(axis, frame, by, titles[by])
-    axes[0, 0].set_ylim(0, 1.05 * frame["high"][frame["row"].isin(_shown(frame))].max())
+    axes[0, 0].set_ylim(0, 1.05 * frame["high"][frame["row"].isin(_drawn_rows(frame))].max())
     for axis in axes.flat[len(panels) :]:
         axis.set_axis_off()
     for first in axes[:, 0]:
@@ -190,16 +204,16 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
 
 
 def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
-    models = _shown(frame)
-    colors = {name: f"C{n}" for n, name in enumerate(in_order(frame["row"].unique()))}
-    shown = frame[frame["by"] == by]
-    groups = shown["group"].unique().tolist()
+    models = _drawn_rows(frame)
+    colors = {name: f"C{n}" for n, name in enumerate(sort_rows(frame["row"].unique()))}
+    panel = frame[frame["by"] == by]
+    groups = panel["group"].unique().tolist()
     for n, name in enumerate(models):
-        found = shown[shown["row"] == name]
-        at = [groups.index(group) + GROUP_WIDTH * ((n + 0.5) / len(models) - 0.5) for group in found["group"]]
-        ends = [found["mse"] - found["low"], found["high"] - found["mse"]]
-        line = "" if by in NAMED else "-"
-        axis.errorbar(at, found["mse"], ends, fmt=f"o{line}", ms=4, lw=1.2, color=colors[name], label=name)
+        row = panel[panel["row"] == name]
+        x = [groups.index(group) + GROUP_WIDTH * ((n + 0.5) / len(models) - 0.5) for group in row["group"]]
+        ends = [row["mse"] - row["low"], row["high"] - row["mse"]]
+        line = "" if by in CATEGORIES else "-"
+        axis.errorbar(x, row["mse"], ends, fmt=f"o{line}", ms=4, lw=1.2, color=colors[name], label=name)
     room = PANEL_LETTERS // len(groups)
     labels = [textwrap.fill(group, room, break_long_words=False) for group in groups]
     axis.set_xticks(range(len(groups)), labels, fontsize="small")
@@ -208,22 +222,22 @@ def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
     axis.grid(axis="y", alpha=0.2)
 
 
-def _shown(frame: pd.DataFrame) -> list[str]:
-    """Rows in a figure: models without their ablations, or what there is."""
+def _drawn_rows(frame: pd.DataFrame) -> list[str]:
+    """Return the rows of a figure: models without their ablations, or all rows if there are only ablations."""
     rows = _by_error(frame)
     return [row for row in rows if " " not in row] or rows
 
 
 def _explained(frame: pd.DataFrame) -> str:
-    """The share of the twins' difference that is explained, where groups hold whole pairs of several kinds."""
+    """Return the explained share of the twins' difference, where groups hold whole pairs of several kinds."""
     if "twins" not in set(frame["by"]):
         return ""
-    of_pairs = frame[frame["explained"].notna()]
+    pairs = frame[frame["explained"].notna()]
     text = [
         f"{explained:.0%} [{low:.0%}, {high:.0%}]"
-        for explained, low, high in of_pairs[["explained", "explained_low", "explained_high"]].itertuples(index=False)
+        for explained, low, high in pairs[["explained", "explained_low", "explained_high"]].itertuples(index=False)
     ]
-    return f"Of the twins' difference, explained:\n\n{_wide(of_pairs.assign(text=text))}\n"
+    return f"Of the twins' difference, explained:\n\n{_wide(pairs.assign(text=text))}\n"
 
 
 def _table(frame: pd.DataFrame) -> str:
@@ -234,11 +248,11 @@ def _table(frame: pd.DataFrame) -> str:
 
 
 def _wide(frame: pd.DataFrame) -> str:
-    cells = frame.assign(by=frame["by"].map(WORDS)).rename(columns={"experiments": "n"})
+    cells = frame.assign(by=frame["by"].map(TITLES)).rename(columns={"experiments": "n"})
     wide = cells.pivot_table(index=["by", "group", "n"], columns="row", values="text", aggfunc="first", sort=False)
     return str(wide[_by_error(frame)].reset_index().to_markdown(index=False))
 
 
 def _by_error(frame: pd.DataFrame) -> list[str]:
-    """Names of rows, the largest MSE over all experiments first."""
+    """Return the names of rows, the largest MSE over all experiments first."""
     return frame[frame["by"] == ALL].sort_values("mse", ascending=False)["row"].tolist()

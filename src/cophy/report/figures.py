@@ -1,8 +1,4 @@
-"""Share of towers whose CD stands, for every value of each confounder (the paper's stability distribution).
-
-Colours of the report's figures.
-Figures of runs and tables: predictions, error over time, tables as bars.
-"""
+"""Figures of the report: predicted trajectories, error over time, tables as bars, and the stability distribution."""
 
 import io
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,91 +10,95 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from cophy.atomic_files import write_atomically
-from cophy.drawing.plots import draw_error_over_time, draw_trajectories, error_over_time
-from cophy.report.runs import of_largest_size, of_seeds
+from cophy.drawing.plots import draw_error_over_time, draw_trajectories
+from cophy.report.predictions import StoredPredictions
+from cophy.report.runs import comparable_seeds, largest_size
 from cophy.report.tables import FilledTable
 from cophy.scenario import Scenario
 from cophy.scenario.towers import TOWER_CELLS
-from cophy.training.run import read_predictions
 
 GREY, BLUE, RED = "#b9bec6", "#2b6fd6", "#d1342f"
-
-
-NUM_SHOWN = 2  # experiments: a twin pair, which shares C but not D
-CHARACTERS = 14  # of a line of a panel's title, unless a word is longer
+LINE_LENGTH = 14  # characters in a line of a panel's title, unless a word is longer
 BAR_IN, CHARACTER_IN, MIN_WIDTH_IN = 0.42, 0.1, 6.4  # inches
 
 
 def write_figure(directory: Path, name: str, figure: Figure) -> None:
-    """Write a figure as PNG and as PDF.
+    """Write a figure as <name>.png and <name>.pdf.
 
     Args:
-        directory: Where they go.
-        name: Of the files, without an ending.
-        figure: Is not laid out again after that.
+        directory: Folder of the files.
+        name: Without an ending.
+        figure: Its layout is fixed afterwards.
     """
     for kind, options in (("png", {"dpi": 110}), ("pdf", {"metadata": {"CreationDate": None}})):
-        picture = io.BytesIO()
-        figure.savefig(picture, format=kind, **options)
-        figure.set_layout_engine("none")  # as it lies now
-        write_atomically(directory / f"{name}.{kind}", picture.getvalue())
+        file = io.BytesIO()
+        figure.savefig(file, format=kind, **options)
+        figure.set_layout_engine("none")  # the second file has the layout of the first
+        write_atomically(directory / f"{name}.{kind}", file.getvalue())
 
 
-def of_predictions(runs: pd.DataFrame, scenarios: Mapping[str, Scenario]) -> Iterator[tuple[str, Figure]]:
-    """Per scenario and split: the trajectories that each model predicts, and every model's error over time.
+def draw_predictions(
+    runs: pd.DataFrame,
+    stored: Mapping[Path, StoredPredictions],
+    scenarios: Mapping[str, Scenario],
+    *,
+    all_trajectories: bool,
+) -> Iterator[tuple[str, Figure]]:
+    """Yield name and figure per scenario, split and positions: error over time of all rows, and predicted trajectories.
 
-    Of the largest size alone. Of a row, those of `of_seeds` count. Rows that were asked about fewer experiments say so.
+    Only runs of the largest size are drawn; a row shows its `comparable_seeds`. Rows that were tested on fewer experiments
+    say so.
+
+    Args:
+        runs: Finished predictors, see `read_runs`.
+        stored: Predictions of these runs by directory.
+        scenarios: By name.
+        all_trajectories: Whether trajectories of every row and split are drawn, or only those of CoPhyNet on the default
+            split, from true positions.
     """
-    predicted = runs[~runs["model"].str.startswith("derenderer")]
-    for keys, tested in predicted.groupby(["scenario", "split", "positions"]):
-        found = of_largest_size(tested)
-        most = found["num_test"].max()
-        name, split, positions = (str(key) for key in keys)
+    for keys, tested in runs.groupby(["scenario", "split", "positions"]):
+        group = largest_size(tested)
+        name, split, positions = map(str, keys)
         scenario, curves = scenarios[name], {}
-        group = f"{name}-{split}" if positions == "ground_truth" else f"{name}-{split}-{positions}"
-        title = group.replace("-", ", ").replace("_", " ") + ", test split"
-        for (model, ablation), of_row in found.groupby(["model", "ablation"]):
-            seeds = of_seeds(of_row)
-            each = [read_predictions(directory) for directory in seeds["directory"]]
-            dims, row = scenario.task.metric_dims, row_name(str(model), str(ablation))
-            errors = [error_over_time(p["position"], p["target"], p["presence"], dims=dims) for p in each]
-            asked = seeds["num_test"].min()
-            curves[row if asked == most else f"{row} (first {asked:.0f})"] = np.mean(errors, axis=0)
-            seed = seeds["seed"].iloc[0]
-            yield (
-                f"trajectories-{group}-{row.replace(' ', '-')}",
-                _trajectories(each[0], scenario, f"{row}, seed {seed}\n{title}"),
-            )
-        ordered = {model: curves[model] for model in in_order(curves)}
+        place = f"{name}-{split}" if positions == "ground_truth" else f"{name}-{split}-{positions}"
+        title = place.replace("-", ", ").replace("_", " ") + ", test split"
+        for (model, ablation), of_row in group.groupby(["model", "ablation"]):
+            seeds, row = comparable_seeds(of_row), row_name(str(model), str(ablation))
+            count = seeds["num_test"].min()
+            label = row if count == group["num_test"].max() else f"{row} (first {count:.0f})"
+            curves[label] = np.mean([stored[directory].error_over_time for directory in seeds["directory"]], axis=0)
+            if all_trajectories or (row, split, positions) == ("cophynet", scenario.task.splits[0], "ground_truth"):
+                first = stored[seeds["directory"].iloc[0]].examples
+                heading = f"{row}, seed {seeds['seed'].iloc[0]}\n{title}"
+                yield f"trajectories-{place}-{row.replace(' ', '-')}", _trajectories(first, scenario, heading)
+        ordered = {label: curves[label] for label in sort_rows(curves)}
         rate = scenario.clock.frame_rate_hz
-        yield f"error_over_time-{group}", draw_error_over_time(ordered, frame_rate_hz=rate, title=title)
+        yield f"error_over_time-{place}", draw_error_over_time(ordered, frame_rate_hz=rate, title=title)
 
 
-def _trajectories(predictions: dict[str, np.ndarray], scenario: Scenario, title: str) -> Figure:
-    """What a run predicts of the first test experiments."""
-    shown = [predictions[key][:NUM_SHOWN] for key in ("initial", "position", "target", "presence")]
-    pairs = predictions["pair"][:NUM_SHOWN].tolist()
+def _trajectories(examples: dict[str, np.ndarray], scenario: Scenario, title: str) -> Figure:
+    arrays = [examples[key] for key in ("initial", "position", "target", "presence")]
+    pairs = examples["pair"].tolist()
     are_twins = len(set(pairs)) < len(pairs)
     headings = [f"twin pair {pair}, twin {n}" for n, pair in enumerate(pairs, start=1)] if are_twins else []
-    colors = list(scenario.colors.values())
-    return draw_trajectories(*shown, colors=colors, title=title, headings=headings)
+    return draw_trajectories(*arrays, colors=list(scenario.colors.values()), title=title, headings=headings)
 
 
 def row_name(model: str, ablation: str) -> str:
-    """What a row of a table is called in figures."""
+    """Return the name of a row in figures and overviews."""
     return model if ablation == "full" else f"{model} {ablation}"
 
 
-def in_order(rows: Iterable[str]) -> list[str]:
-    """Rows as figures colour them: models, then their ablations, so that a model looks the same wherever all models are."""
+def sort_rows(rows: Iterable[str]) -> list[str]:
+    """Sort rows: models, then their ablations, so that a model has the same colour wherever all models are drawn."""
     return sorted(rows, key=lambda name: (" " in name, name))
 
 
 def draw_bars(filled: FilledTable) -> Figure:
-    """The cells of a table that were run, as bars: ours with interval or standard deviation, the paper's in grey."""
+    """Draw the cells of a table that were run as bars: ours with interval or standard deviation, the paper's in grey."""
     table, values = filled.table, filled.values[filled.values["seeds"] > 0]
-    groups, bars = ("column", "row") if table.methods == "rows" else ("row", "column")
-    panels = {_in_lines(str(label)): group for label, group in values.groupby(groups, sort=False)}
+    groups, bars = ("column", "row") if table.methods_in == "rows" else ("row", "column")
+    panels = {_wrap(str(label)): group for label, group in values.groupby(groups, sort=False)}
     longest = [max(map(len, label.split("\n"))) for label in panels]
     widths = [
         max(BAR_IN * len(group), CHARACTER_IN * length) for group, length in zip(panels.values(), longest, strict=True)
@@ -122,18 +122,21 @@ def draw_bars(filled: FilledTable) -> Figure:
     return figure
 
 
-def _in_lines(label: str) -> str:
-    """A panel's title in short lines; words stay whole."""
-    return fill(label, CHARACTERS, break_long_words=False, break_on_hyphens=False)
+def _wrap(label: str) -> str:
+    """Break a panel's title into short lines; words stay whole."""
+    return fill(label, LINE_LENGTH, break_long_words=False, break_on_hyphens=False)
 
 
 EVEN_SHARE = (45, 55)  # %, in grey
 
 
 def draw_stability_distribution(datasets: dict[int, dict[str, np.ndarray]]) -> Figure:
-    """Bars per value. Masses and frictions: one combination per bar, blocks from the bottom up.
+    """Draw the share of towers whose CD stands, for every value of each confounder (the paper's stability distribution).
 
-    datasets: towers, arrays per number of blocks.
+    Masses and frictions: one combination per bar, blocks from the bottom up.
+
+    Args:
+        datasets: Number of blocks -> arrays of a dataset of towers.
     """
     figure = Figure(figsize=(15, 3.4 * len(datasets)), layout="constrained")
     axes = figure.subplots(len(datasets), 4, squeeze=False, sharey=True, width_ratios=[4, 4, 1, 1])
@@ -156,7 +159,7 @@ def draw_stability_distribution(datasets: dict[int, dict[str, np.ndarray]]) -> F
 
 
 def _values(arrays: dict[str, np.ndarray], num_blocks: int) -> dict[str, np.ndarray]:
-    """(experiment,) what each confounder is, as text."""
+    """Return (experiment,) the value of each confounder as text."""
     height = np.where(arrays["presence"][:, 0], arrays["states"][:, 0, 0, :, 2], np.inf)
     blocks = height.argsort(axis=1)[:, :num_blocks]
     return {

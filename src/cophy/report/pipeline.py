@@ -1,7 +1,9 @@
-"""From outputs/ to tables and figures, ours beside the paper's numbers."""
+"""From outputs/ to tables and figures, ours next to the paper's numbers."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -9,207 +11,269 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from cophy.atomic_files import write_atomically
+from cophy.dataset.splits import Split
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.report import difficulty, figures, render
-from cophy.report.difficulty import mse_by_difficulty
-from cophy.report.figures import draw_stability_distribution
-from cophy.report.overview import CAPTION, kinds, overviews, twin_tables
-from cophy.report.runs import Choices, notice, read_runs, summary
-from cophy.report.tables import FilledTable, PaperTable, fill, paper_tables, stored_errors
+from cophy.report.overview import TWINS_CAPTION, group_runs, overview_tables, short_columns, twin_tables
+from cophy.report.paper_tables import paper_tables
+from cophy.report.predictions import StoredPredictions, read_stored_predictions
+from cophy.report.runs import DatasetIds, notice, read_runs, summarize_runs
+from cophy.report.tables import FilledTable, fill
 from cophy.scenario import Scenario
-from cophy.study import report
-from cophy.study.report import StudyAnswers, draw_studies, read_answers
 
 log = logging.getLogger(__name__)
 
-OVERVIEW = "MSE of the test split, m² (epochs of training, where there was any, × seeds)."
-MOST_FAILURES = 5  # that are told; runs.csv has all
-SHOWN = ("run", "seeds", "epochs", "training (s)", "mse", "final position error")  # of the summary, in the terminal
+OVERVIEW = "MSE of the test split, m² (epochs of training × seeds)."
+MAX_FAILURES = 5  # printed; runs.csv has all
+SUMMARY_COLUMNS = ("run", "seeds", "epochs", "training (s)", "mse", "final position error")  # in the terminal
 
 
-def write_report(outputs: Path, directory: Path, choices: Choices, *, has_twins: bool, show_all: bool) -> None:
-    """Print what was run and the paper's tables as far as runs fill them; write them whole, and figures.
+@dataclass(frozen=True)
+class Configurations:
+    """What the configuration says about the names of runs.
+
+    Attributes:
+        scenario: Returns the scenario of a name.
+        split: Returns a split, by names of scenario and split.
+        dataset: Returns a generated dataset, by name of the scenario, number of objects and name of the size; None where
+            the runs are on other data, which have no twins, margins or balance.
+        dataset_ids: See `read_runs`.
+    """
+
+    scenario: Callable[[str], Scenario]
+    split: Callable[[str, str], Split]
+    dataset: Callable[[str, int, str], States] | None
+    dataset_ids: DatasetIds
+
+
+@dataclass(frozen=True)
+class Supplement:
+    """What an optional subpackage adds to the report.
+
+    Attributes:
+        participants: Numbers of human participants for the paper's tables: scenario, split, setting, metric, ours, sd, low,
+            high.
+        tables: Title -> table of text.
+        caption: Of these tables.
+        figures: By name.
+    """
+
+    participants: pd.DataFrame | None = None
+    tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+    caption: str = ""
+    figures: dict[str, Figure] = field(default_factory=dict)
+
+
+class Report:
+    """Tables and figures of the runs in a folder.
 
     Args:
         outputs: Where train.py wrote its runs.
-        directory: Where tables and figures go.
-        choices: What the names of runs stand for.
-        has_twins: Whether the data have twins, margins and balance, as generated ones have.
-        show_all: Whether empty tables, captions and a line for each run are printed, too.
+        configurations: What the names of runs stand for.
+        supplement: Results of human participants.
+        show_all: Whether empty tables, captions and a line for each run are printed, and all trajectories drawn, too.
+
+    Raises:
+        CophyError: There is nothing to report.
     """
+
+    def __init__(
+        self, outputs: Path, configurations: Configurations, supplement: Supplement | None = None, *, show_all: bool
+    ) -> None:
+        self.runs = read_runs(outputs, configurations.dataset_ids)
+        self.supplement = supplement or Supplement()
+        self.configurations, self.show_all = configurations, show_all
+        if self.runs.empty and not self.supplement.tables:
+            if self.runs.attrs["unused"]:
+                raise CophyError(f"outputs={outputs}: no run can be reported, for the reasons above")
+            raise CophyError(f"outputs={outputs}: there are no runs; train.py writes them (python src/train.py --help)")
+        self.stored = self._read_predictions()
+
+    def _read_predictions(self) -> dict[Path, StoredPredictions]:
+        """Return the predictions of the finished predictors by directory; drop the runs whose predictions are damaged."""
+        if self.runs.empty:
+            return {}
+        is_predictor = self.runs["error"].isna() & ~self.runs["model"].str.startswith("derenderer")
+        predictors = self.runs[is_predictor]
+        whole = [path for _, _, _, group in self._difficulty_groups(predictors) for path in group["directory"]]
+        stored = read_stored_predictions(predictors, whole)
+        self.runs = self.runs[~is_predictor | self.runs["directory"].isin(list(stored))]
+        return stored
+
+    @property
+    def predictors(self) -> pd.DataFrame:
+        """The finished runs with predictions."""
+        return self.runs[self.runs["directory"].isin(list(self.stored)) & self.runs["error"].isna()]
+
+    @cached_property
+    def scenarios(self) -> dict[str, Scenario]:
+        """The scenarios of the finished runs by name."""
+        names = self.runs.loc[self.runs["error"].isna(), "scenario"].unique() if len(self.runs) else ()
+        return {str(name): self.configurations.scenario(str(name)) for name in names}
+
+    @cached_property
+    def filled(self) -> list[FilledTable]:
+        """The paper's tables with our numbers."""
+        return [
+            fill(table, self.runs, lambda run: self.stored[run["directory"]].errors, self.supplement.participants)
+            for table in paper_tables()
+        ]
+
+    def show(self) -> None:
+        """Print what was run and the paper's tables as far as runs fill them."""
+        tables = overview_tables(self.runs)
+        for number, (title, table) in enumerate(tables.items(), start=1):
+            render.show(f"What was run: {title}", table, OVERVIEW if number == len(tables) else "")
+        self._show_failures()
+        for filled in self.filled:
+            self._show_table(filled)
+        empty = sum(not filled.has_runs for filled in self.filled)
+        if empty and not self.show_all:
+            log.info(notice(f"{empty} tables have nothing of ours yet: all=true prints them."))
+        self._show_twins()
+        for title, table in self.supplement.tables.items():
+            render.show(title, table, self.supplement.caption)
+        if self.show_all and len(self.runs):
+            summary = summarize_runs(self.runs)
+            columns = [name for name in SUMMARY_COLUMNS if name in summary]
+            render.show("Everything that was run", summary[columns].set_index("run"))
+
+    def _show_failures(self) -> None:
+        failed = self.runs[self.runs["error"].notna()].to_dict("records") if len(self.runs) else []
+        for run in failed[:MAX_FAILURES]:
+            log.info(notice(f"failed: {run['directory']}: {run['error']}"))
+        if failed:
+            log.info(notice("Run the same command again, or remove the folder of a failed run to forget it."))
+
+    def _show_table(self, filled: FilledTable) -> None:
+        if not filled.has_runs and not self.show_all:
+            return
+        cells, shares = render.table_cells(filled), render.share_cells(filled)
+        if self.show_all:
+            render.show(filled.table.title, cells, render.caption(filled))
+        else:
+            better = "Lower" if filled.table.lower_is_better else "Higher"
+            caption = f"Ours, the paper's below it. {better} is better. {filled.left_out}".strip()
+            render.show(filled.table.title, render.filled_only(cells), caption)
+        if len(shares):
+            render.show(render.SHARE, shares if self.show_all else render.filled_only(shares))
+
+    def _show_twins(self) -> None:
+        tables = {
+            f"{title}: {kind}": table
+            for kind, runs in group_runs(self.runs)
+            for title, table in twin_tables(runs).items()
+        }
+        for title, table in tables.items():
+            render.show(title, table.set_axis(short_columns(table.columns), axis=1))
+        if tables:
+            log.info(notice(TWINS_CAPTION))
+
+    def write(self, directory: Path) -> None:
+        """Write all tables as Markdown, LaTeX and CSV, and all figures as PNG and PDF."""
+        (directory / "figures").mkdir(parents=True, exist_ok=True)
+        lines = self.mse_by_difficulty()
+        texts = self._tables()
+        if len(lines):
+            texts |= {
+                "difficulty.csv": lines.to_csv(index=False),
+                "difficulty.md": difficulty.page(lines, self.scenarios),
+            }
+        for name, text in texts.items():
+            write_atomically(directory / name, text.encode())
+        drawn = self._figures(lines)
+        for name, figure in drawn.items():
+            figures.write_figure(directory / "figures", name, figure)
+        skipped = self.runs.attrs["skipped"]
+        unreadable = f" ({skipped} more cannot be read, see above)" if skipped else ""
+        message = "%d runs%s; tables (md, tex, csv), their captions and %d figures (png, pdf) are in\n%s"
+        log.info(message, len(self.runs), unreadable, len(drawn), directory)
+
+    def _tables(self) -> dict[str, str]:
+        """Return the content of the files of tables by name; tables with something of ours come first."""
+        filled = sorted(self.filled, key=lambda table: not table.has_runs)
+        parts = [
+            "\n".join(map(render.markdown, filled)),
+            render.markdown_sections(twin_tables(self.runs), TWINS_CAPTION),
+            render.markdown_sections(self.supplement.tables, self.supplement.caption),
+            f"\n## Everything that was run\n\n{summarize_runs(self.runs).to_markdown(index=False)}\n",
+        ]
+        return {
+            "tables.md": "".join(parts),
+            "tables.tex": "\n".join(map(render.latex, filled)),
+            "runs.csv": self.runs.to_csv(index=False),
+            **{f"{table.table.id}.csv": table.values.to_csv(index=False) for table in filled},
+        }
+
+    def _figures(self, lines: pd.DataFrame) -> dict[str, Figure]:
+        drawn = {
+            f"table-{filled.table.id}": figures.draw_bars(filled)
+            for filled in self.filled
+            if filled.values["seeds"].any()
+        }
+        if len(self.predictors):
+            drawn |= dict(
+                figures.draw_predictions(self.predictors, self.stored, self.scenarios, all_trajectories=self.show_all)
+            )
+        drawn |= self._stability_distributions()
+        if len(lines):
+            drawn |= dict(difficulty.draw(lines, self.scenarios))
+        return drawn | self.supplement.figures
+
+    def _difficulty_groups(self, runs: pd.DataFrame) -> list[tuple[str, str, str, pd.DataFrame]]:
+        """Return scenario, split, size and runs of those on the default split of each scenario whose dataset exists."""
+        if self.configurations.dataset is None:
+            return []
+        default = {name: scenario.task.splits[0] for name, scenario in self.scenarios.items()}
+        groups = runs[runs["split"] == runs["scenario"].map(default)].groupby(["scenario", "split", "size"])
+        named = [(str(scenario), str(split), str(size), group) for (scenario, split, size), group in groups]
+        return [each for each in named if self._test_set(each[0], each[1], each[2]).is_finished()]
+
+    def _test_set(self, scenario: str, split: str, size: str) -> States:
+        assert self.configurations.dataset is not None
+        return self.configurations.dataset(scenario, self.configurations.split(scenario, split).test.num_objects, size)
+
+    def mse_by_difficulty(self) -> pd.DataFrame:
+        """Return the lines of `cophy.report.difficulty.mse_by_difficulty` on the default split of each scenario."""
+        frames = []
+        for scenario, split, size, group in self._difficulty_groups(self.predictors) if len(self.predictors) else ():
+            states, part = self._test_set(scenario, split, size), self.configurations.split(scenario, split).test
+            frames.append(difficulty.mse_by_difficulty(group, self.stored, states.load(), states.spec, part))
+        return pd.concat(frames) if frames else pd.DataFrame()
+
+    def _stability_distributions(self) -> dict[str, Figure]:
+        """Draw the stability distribution of the tower datasets that the runs used."""
+        if self.configurations.dataset is None or self.runs.empty:
+            return {}
+        finished, drawn = self.runs[self.runs["error"].isna()], {}
+        for (name, size), group in finished.groupby(["scenario", "size"]):
+            scenario = self.scenarios[str(name)]
+            if scenario.statics is None:
+                continue
+            used, arrays = set(group["dataset_ids"].explode()), dict[int, dict[str, np.ndarray]]()
+            for count in scenario.num_objects:
+                states = self.configurations.dataset(str(name), count, str(size))
+                if states.id in used and states.is_finished():
+                    arrays[count] = states.load()
+                elif states.id in used:
+                    log.info(notice(f"{states.directory} does not exist: the report leaves out its figures."))
+            if arrays:
+                drawn[f"stability_distribution-{size}"] = figures.draw_stability_distribution(arrays)
+        return drawn
+
+
+def write_report(
+    outputs: Path,
+    directory: Path,
+    configurations: Configurations,
+    supplement: Supplement | None = None,
+    *,
+    show_all: bool,
+) -> None:
+    """Print the report of a folder of runs, see `Report`, and write its files to a directory."""
     if not outputs.is_dir():
         raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there, study.py answers")
-    runs, studies = read_runs(outputs, choices.keys_of), read_answers(outputs, choices)
-    if runs.empty and not studies:
-        if runs.attrs["unused"]:
-            raise CophyError(f"outputs={outputs}: none of the runs there can be reported, the lines above say why")
-        raise CophyError(
-            f"outputs={outputs}: there are no runs to report; train.py writes them, see python src/train.py --help"
-        )
-    (directory / "figures").mkdir(parents=True, exist_ok=True)
-    tables = overviews(runs)
-    for number, (title, table) in enumerate(tables.items(), start=1):
-        render.show(f"What was run: {title}", table, OVERVIEW if number == len(tables) else "")
-    _show_failures(runs)
-    filled = [_filled(table, runs, studies) for table in paper_tables()]
-    drawn = _show_tables(filled, show_all=show_all)
-    twins = twin_tables(runs)
-    _show_twins(runs)
-    answered = report.study_tables(studies)
-    for title, table in answered.items():
-        render.show(title, table, report.CAPTION)
-    everything = summary(runs)
-    if show_all and len(everything):
-        shown = [name for name in SHOWN if name in everything]
-        render.show("Everything that was run", everything[shown].set_index("run"))
-    _write_tables(directory, filled, _sections(twins, CAPTION) + _sections(answered, report.CAPTION), everything, runs)
-    finished = runs[runs["error"].isna()] if len(runs) else runs
-    if len(finished):
-        scenarios = {str(name): choices.scenario(str(name)) for name in finished["scenario"].unique()}
-        drawn |= dict(figures.of_predictions(finished, scenarios))
-        if has_twins:
-            drawn |= _stability_distributions(finished, scenarios, choices)
-            drawn |= _write_difficulty(directory, finished, scenarios, choices)
-    drawn |= dict(draw_studies(studies))
-    for name, figure in drawn.items():
-        figures.write_figure(directory / "figures", name, figure)
-    skipped = runs.attrs["skipped"]
-    not_read = f" ({skipped} more cannot be read, see above)" if skipped else ""
-    said = "%d runs%s; tables (md, tex, csv), their captions and %d figures (png, pdf) in\n%s"
-    log.info(said, len(runs), not_read, len(drawn), directory)
-
-
-def _filled(table: PaperTable, runs: pd.DataFrame, studies: list[StudyAnswers]) -> FilledTable:
-    """A table of the paper, with the people of the studies where it has rows of people."""
-    names = table.select
-    people = report.of_people(studies, names["scenario"], names["split"]) if "split" in names else None
-    return fill(table, runs, stored_errors, people)
-
-
-def _show_failures(runs: pd.DataFrame) -> None:
-    """Print why runs failed."""
-    failed = runs[runs["error"].notna()].to_dict("records") if len(runs) else []
-    for run in failed[:MOST_FAILURES]:
-        log.info(notice(f"failed: {run['directory']}: {run['error']}"))
-    if failed:
-        log.info(notice("A failed run is forgotten once it is made again, or its folder is removed."))
-
-
-def _show_tables(filled: list[FilledTable], *, show_all: bool) -> dict[str, Figure]:
-    """Print what is filled, or all; what is filled as bars."""
-    drawn, empty = {}, 0
-    for result in filled:
-        is_filled = result.has_runs
-        empty += not is_filled
-        cells = result.cells(bold=render.BOLD)
-        if show_all:
-            render.show(result.table.title, cells, result.caption)
-        elif is_filled:
-            better = "Lower" if result.table.lower_is_better else "Higher"
-            caption = f"Ours, the paper's below it. {better} is better. {result.left_out}".strip()
-            render.show(result.table.title, render.filled_only(cells), caption)
-        if not is_filled:
-            continue
-        if (shares := result.shares()) is not None:
-            shown = shares if show_all else render.filled_only(shares)
-            render.show(render.SHARE, shown)
-        if result.values["seeds"].any():
-            drawn[f"table-{result.table.id}"] = figures.draw_bars(result)
-    if empty and not show_all:
-        log.info(notice(f"{empty} tables have nothing of ours yet: all=true shows them."))
-    return drawn
-
-
-def _write_tables(
-    directory: Path,
-    filled: list[FilledTable],
-    sections: str,
-    everything: pd.DataFrame,
-    runs: pd.DataFrame,
-) -> None:
-    """Tables as Markdown, LaTeX and CSV, and a summary of everything that was run.
-
-    Args:
-        directory: Where they go.
-        filled: The paper's tables; those with something of ours come first.
-        sections: What follows the paper's tables, Markdown.
-        everything: That summary.
-        runs: See `read_runs`.
-    """
-    filled = sorted(filled, key=lambda table: not table.has_runs)
-    written = {
-        "tables.md": "\n".join(map(render.markdown, filled))
-        + sections
-        + f"\n## Everything that was run\n\n{everything.to_markdown(index=False)}\n",
-        "tables.tex": "\n".join(map(render.latex, filled)),
-        "runs.csv": runs.to_csv(index=False),
-        **{f"{result.table.id}.csv": result.values.to_csv(index=False) for result in filled},
-    }
-    for name, text in written.items():
-        write_atomically(directory / name, text.encode())
-
-
-def _show_twins(runs: pd.DataFrame) -> None:
-    """Print what predictions tell of twins, for each kind of runs apart."""
-    shown = [(f"{title}: {kind}", table) for kind, found in kinds(runs) for title, table in twin_tables(found).items()]
-    for title, table in shown:
-        short = table.columns.str.replace(r"^\S+ (\S+), [^,]*(, \d+ epochs)?.*", r"\1\2", regex=True)
-        alone = short.str.replace(r", .*", "", regex=True)  # the epochs of each are told above
-        splits = table.set_axis(alone if alone.is_unique else short, axis=1)
-        render.show(title, splits)
-    if shown:
-        log.info(notice(CAPTION))
-
-
-def _sections(tables: Mapping[str, pd.DataFrame], caption: str) -> str:
-    """Tables by their titles as sections of Markdown."""
-    sections = [f"\n## {title}\n\n{table.to_markdown()}\n" for title, table in tables.items()]
-    return "".join([*sections, f"\n{caption}\n"]) if sections else ""
-
-
-def _write_difficulty(
-    directory: Path, runs: pd.DataFrame, scenarios: Mapping[str, Scenario], choices: Choices
-) -> dict[str, Figure]:
-    """MSE by difficulty on the default split of each scenario, where its dataset is there."""
-    default = {name: scenario.task.splits[0] for name, scenario in scenarios.items()}
-    predictors = runs[(runs["split"] == runs["scenario"].map(default)) & ~runs["model"].str.startswith("derenderer")]
-    frames = []
-    for keys, found in predictors.groupby(["scenario", "split", "size"]):
-        name, split, size = (str(key) for key in keys)
-        part = choices.split(name, split).test
-        states = choices.dataset(name, part.num_objects, size)
-        if (arrays := _load(states)) is not None:
-            frames.append(mse_by_difficulty(found, arrays, states.spec, part))
-    lines = pd.concat(frames) if frames else pd.DataFrame()
-    if lines.empty:
-        return {}
-    write_atomically(directory / "difficulty.csv", lines.to_csv(index=False).encode())
-    write_atomically(directory / "difficulty.md", difficulty.page(lines, scenarios).encode())
-    return dict(difficulty.draw(lines, scenarios))
-
-
-def _stability_distributions(
-    runs: pd.DataFrame, scenarios: Mapping[str, Scenario], choices: Choices
-) -> dict[str, Figure]:
-    """The figure of that name, from the tower datasets that the runs used, where they are there."""
-    towers = runs[[scenarios[name].statics is not None for name in runs["scenario"]]]
-    drawn = {}
-    for keys, found in towers.groupby(["scenario", "size"]):
-        name, size = (str(key) for key in keys)
-        used, arrays = set(found["dataset_ids"].explode()), {}
-        for count in scenarios[name].num_objects:
-            states = choices.dataset(name, count, size)
-            if states.id in used and (loaded := _load(states)) is not None:
-                arrays[count] = loaded
-        if arrays:
-            drawn[f"stability_distribution-{size}"] = draw_stability_distribution(arrays)
-    return drawn
-
-
-def _load(states: States) -> dict[str, np.ndarray] | None:
-    """The arrays of a dataset; where it is not there, the log says so."""
-    if states.is_finished():
-        return states.load()
-    log.info(notice(f"{states.directory} is not there: the report does without what only the dataset tells."))
-    return None
+    report = Report(outputs, configurations, supplement, show_all=show_all)
+    report.show()
+    report.write(directory)

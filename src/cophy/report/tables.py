@@ -1,136 +1,43 @@
-"""A table of the paper with our numbers: each cell ours, with the paper's beside it.
+"""The paper's tables filled with our numbers: one line per cell, in the table's own unit.
 
-The tables of the paper that runs can fill, as paper_tables.yaml describes them.
-What a filled table says of its cells, and of the runs that they are of.
-Shares of the possible gain, and how sure they are: their interval over twin pairs.
+Nothing is formatted here; `cophy.report.render` does that, once per medium.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from importlib.resources import files
-from itertools import chain
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-import yaml
 
 from cophy.bootstrap import Ratio, interval
-from cophy.report.runs import of_seeds
+from cophy.report.paper_tables import PaperTable
+from cophy.report.runs import comparable_seeds
 from cophy.training.run import read_predictions
 
-
-@dataclass(frozen=True)
-class PaperTable:
-    """A table of the paper.
-
-    Attributes:
-        id: Name of its files, and of its sweep in conf/table/.
-        title: What it shows.
-        select: Names of the runs that fill it, and the metric that is shown.
-        rows: Label -> what the row adds to `select`; of a row that people fill, people: the setting.
-        columns: Label -> what the column adds.
-        paper: The paper's numbers, rows × columns.
-        methods: "rows", "columns", or None where nothing competes.
-        bounds: Labels of methods that are told more than the others; they do not compete.
-        oracles: Labels of the oracles, that without AB first, that with AB last.
-        lower_is_better: Of the metric.
-        scale: From the metric's unit to the table's.
-        digits: After the point.
-        note: Goes below it.
-        controls: Label -> what it adds to `select`, as of rows; their numbers, which the paper does not have, go below.
-        also_derendered: Whether there is the same table with positions that a de-renderer estimates in testing.
-    """
-
-    id: str
-    title: str
-    select: dict[str, str]
-    rows: dict[str, dict[str, str]]
-    columns: dict[str, dict[str, str]]
-    paper: list[list[float | None]]
-    methods: str | None
-    bounds: list[str] = field(default_factory=list)
-    oracles: list[str] = field(default_factory=list)
-    lower_is_better: bool = True
-    scale: float = 1.0
-    digits: int = 3
-    note: str = ""
-    controls: dict[str, dict[str, str]] = field(default_factory=dict)
-    also_derendered: bool = False
-
-    @property
-    def ends(self) -> tuple[str, str]:
-        """The oracles that the share of the possible gain is 0 % and 100 % for."""
-        return self.oracles[0], self.oracles[-1]
-
-
-def paper_tables() -> list[PaperTable]:
-    """All tables of the paper that runs can fill."""
-    content = yaml.safe_load((files("cophy.report") / "paper_tables.yaml").read_text())
-    tables = [PaperTable(**table) for table in content["tables"]]
-    return tables + [_derendered(table) for table in tables if table.also_derendered]
-
-
-def published_mse(names: Mapping[str, Any]) -> float | None:
-    """The MSE that the paper prints for the run of these names; None where it prints none."""
-    for table in paper_tables():
-        for in_row, printed in zip(table.rows.values(), table.paper, strict=True):
-            for in_column, number in zip(table.columns.values(), printed, strict=True):
-                wanted = {"positions": "ground_truth", **table.select, **in_row, **in_column}
-                if wanted.pop("metric") == "mse" and number is not None and wanted.items() <= names.items():
-                    return number
-    return None
-
-
-def _derendered(table: PaperTable) -> PaperTable:
-    """The same methods on positions estimated from pictures; oracles see true ones only, people see pictures in any case."""
-    rows, columns = (
-        {name: keys for name, keys in axis.items() if name not in table.oracles and "people" not in keys}
-        for axis in (table.rows, table.columns)
-    )
-    printed = [numbers for keys, numbers in zip(table.rows.values(), table.paper, strict=True) if "people" not in keys]
-    return replace(
-        table,
-        id=f"{table.id}_derendered",
-        title=f"{table.title}; positions estimated from pictures in testing",
-        select={**table.select, "positions": "train_ground_truth_test_derendered"},
-        rows=rows,
-        columns=columns,
-        paper=[numbers[: len(columns)] for numbers in printed[: len(rows)]],  # oracles come last
-        bounds=[name for name in table.bounds if name in rows or name in columns],
-        oracles=[],
-        also_derendered=False,
-    )
-
-
-TESTED_ON = {  # positions= -> what a caption says of it
+TESTED_ON = {  # positions= -> sentence of the caption
     "ground_truth": "Tested on true positions.",
-    "derendered": "Trained and tested on positions estimated from pictures.",
-    "train_ground_truth_test_derendered": "Tested on positions estimated from pictures.",
+    "derendered": "Trained and tested on positions estimated from images.",
+    "train_ground_truth_test_derendered": "Tested on positions estimated from images.",
 }
 
-ORACLES = (
+ORACLES_NOTE = (
     "Oracles simulate (docs/benchmark/oracles.md). They know what A and C show at t = 0 beyond positions: object type and pose. "
-    "A network gets these with model.object_type=true and model.pose=true alone. "
-    "What the oracles' draws add to squared errors is estimated and taken out."
+    "A network sees these only with model.object_type=true and model.pose=true. "
+    "For Monte Carlo oracles, the sampling variance is subtracted from squared errors."
 )
 
 
-def caption(table: PaperTable, used: pd.DataFrame) -> str:
-    """The caption of a table.
-
-    Args:
-        table: Of the paper.
-        used: The runs that fill it, see `read_runs`.
-    """
+def _caption(table: PaperTable, used: pd.DataFrame) -> str:
+    """Return the caption of a table that these runs fill, without its controls."""
     better = "Lower" if table.lower_is_better else "Higher"
     notes = [f"Each cell: ours / the paper's. {better} is better."]
     if used.empty:
         return " ".join([*notes, "Nothing was run yet."])
     num_train, num_test, seeds = (_listed(used[name]) for name in ("num_train", "num_test", "seed"))
-    trained = used[used["is_trained"].astype(bool)]  # copies and oracles have epochs, too, that nobody went through
+    trained = used[
+        used["is_trained"].astype(bool)
+    ]  # copies and oracles have a number of epochs, too, but are not trained
     epochs = "" if trained.empty else f" {_listed(trained['epochs'])} epochs;"
     size = ", ".join(sorted(used["size"].unique()))
     notes.append(" ".join(TESTED_ON[positions] for positions in sorted(used["positions"].unique())))
@@ -143,27 +50,27 @@ def caption(table: PaperTable, used: pd.DataFrame) -> str:
             "Where the true confounders are given, they include what positions hide: initial velocity, shape and orientation."
         )
     if table.oracles and used["model"].str.startswith("oracle_").any():
-        notes.append(ORACLES)
+        notes.append(ORACLES_NOTE)
     if "derenderer" in used and len(names := sorted(used["derenderer"].dropna().unique())):
         notes.append(f"Positions estimated by de-renderer {' and '.join(names)} (hash of its checkpoint).")
-    if "predictor" in used and len(before := used[used["predictor"].notna()]):
-        named = sorted({f"{run.model} seed {run.seed} ({run.predictor})" for run in before.itertuples()})
-        notes.append(f"Not trained here but given as checkpoints (by hash): {', '.join(named)}.")
+    if "predictor" in used and len(tested := used[used["predictor"].notna()]):
+        names = sorted({f"{run.model} seed {run.seed} ({run.predictor})" for run in tested.itertuples()})
+        notes.append(f"Tested from checkpoints (by hash), not trained here: {', '.join(names)}.")
     return " ".join([*notes, table.note]).strip()
 
 
 def _listed(counts: "pd.Series[float]") -> str:
-    """Each once; they are floats where some run failed and has none."""
+    """Return each number once; they are floats where a failed run has none."""
     return ", ".join(map(str, sorted(counts.astype(int).unique())))
 
 
 class Errors(NamedTuple):
-    """What a run got wrong.
+    """Errors of a run.
 
     Attributes:
         mse: (experiment,) mean squared error, m².
-        pair: (experiment,) the twin pair that it is of.
-        truth: (experiment,) sum of the true coordinates, metres: other data have others.
+        pair: (experiment,) twin pair of the experiment.
+        truth: (experiment,) sum of the true coordinates, m; it tells experiments of different data apart.
     """
 
     mse: np.ndarray
@@ -175,26 +82,24 @@ ErrorsOf = Callable[[dict[Any, Any]], Errors]  # from a run's line (`read_runs`)
 
 
 def stored_errors(run: dict[Any, Any]) -> Errors:
-    """Those of the predictions that a run left."""
-    return _stored_errors(run["directory"], int(run["metric_dims"]))
+    """Return the errors of the predictions that a run stored."""
+    return errors_of_predictions(read_predictions(run["directory"]), int(run["metric_dims"]))
 
 
-@lru_cache(maxsize=256)  # an oracle is compared with every run
-def _stored_errors(directory: Path, dims: int) -> Errors:
-    found = read_predictions(directory)
-    error = np.square(found["position"] - found["target"]) - found.get("draw_variance", 0.0)
-    squared, present = error[..., :dims].mean(axis=(1, 3), dtype=np.float64), found["presence"]
-    truth = found["target"].sum(axis=(1, 2, 3), dtype=np.float64)
-    return Errors(np.where(present, squared, 0.0).sum(axis=1) / present.sum(axis=1), found["pair"], truth)
+def errors_of_predictions(predictions: dict[str, np.ndarray], dims: int) -> Errors:
+    """Return the errors of stored predictions (see `read_predictions`) in the first `dims` coordinates."""
+    error = np.square(predictions["position"] - predictions["target"]) - predictions.get("draw_variance", 0.0)
+    squared, present = error[..., :dims].mean(axis=(1, 3), dtype=np.float64), predictions["presence"]
+    truth = predictions["target"].sum(axis=(1, 2, 3), dtype=np.float64)
+    return Errors(np.where(present, squared, 0.0).sum(axis=1) / present.sum(axis=1), predictions["pair"], truth)
 
 
 class Share(NamedTuple):
-    """Of what AB can add to the best that is possible without it; negative for what is worse than that.
+    """Share of the possible gain: what AB adds to the best that is possible without it; negative below that.
 
     Attributes:
-        value: 1 for the oracle with AB, 0 for that without.
-        low: Of its 95 % interval, paired by experiment.
-        high: Likewise.
+        value: 1 for the oracle with AB, 0 for the one without.
+        low, high: 95 % interval, paired by experiment.
     """
 
     value: float
@@ -206,44 +111,31 @@ UNKNOWN = Share(np.nan)
 
 
 def share_of_gain(ours: pd.DataFrame, without: pd.DataFrame, with_ab: pd.DataFrame, errors_of: ErrorsOf) -> Share:
-    """(oracle without AB - ours) / (oracle without AB - oracle with AB), of what all of them were tested on.
+    """Return (oracle without AB - ours) / (oracle without AB - oracle with AB), on the experiments common to all.
 
-    Oracles are asked about the first experiments of a test split. A model's errors on the others do not count here.
+    Oracles predict only the first experiments of a test split; a model's errors on the others do not count here.
 
     Args:
-        ours: Runs of a row, one per seed; their errors are averaged.
+        ours: Runs of a method, one per seed; their errors are averaged.
         without: Runs of the oracle without AB.
         with_ab: Runs of the oracle with AB.
-        errors_of: Gives the errors of a run.
+        errors_of: Returns the errors of a run.
 
     Returns:
-        NaN where the runs were tested on other experiments, or one of the three is missing.
+        NaN where the runs were tested on different experiments, or one of the three is missing.
     """
     parts = [[errors_of(run) for run in runs.to_dict("records")] for runs in (ours, without, with_ab)]
     if not all(parts):
         return UNKNOWN
-    asked = min(len(each.pair) for part in parts for each in part)
-    tested = {(each.pair[:asked].tobytes(), each.truth[:asked].tobytes()) for part in parts for each in part}
-    if len(tested) > 1:
+    count = min(len(errors.pair) for part in parts for errors in part)
+    if len({(errors.pair[:count].tobytes(), errors.truth[:count].tobytes()) for part in parts for errors in part}) > 1:
         return UNKNOWN
-    of_ours, of_without, of_with = (np.mean([each.mse[:asked] for each in part], axis=0) for part in parts)
-    gained, possible = of_without - of_ours, of_without - of_with
-    return Share(gained.sum() / possible.sum(), *interval(Ratio(gained, possible), parts[0][0].pair[:asked]))
+    mse, mse_without, mse_with = (np.mean([errors.mse[:count] for errors in part], axis=0) for part in parts)
+    gain, possible = mse_without - mse, mse_without - mse_with
+    return Share(gain.sum() / possible.sum(), *interval(Ratio(gain, possible), parts[0][0].pair[:count]))
 
 
-MISSING, FAILED = "—", "failed"
 NUMBERS = ("ours", "sd", "low", "high")
-PEOPLE = "people"  # key of a row that people fill
-
-
-class Choice(NamedTuple):
-    """What fills a cell: the runs of these names, or the people of a setting."""
-
-    row: str
-    column: str
-    metric: str
-    people: str
-    names: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -253,202 +145,150 @@ class FilledTable:
     Attributes:
         table: The paper's.
         values: One line per cell, in the table's own unit: row, column, ours, sd over seeds, low and high of the 95 %
-            interval, seeds, failed, paper, best; and share of the possible gain with its interval, see `shares`.
-        caption: What the cells are, and of which runs.
-        left_out: A sentence on runs of smaller sizes, which are in no cell; "" where there are none.
+            interval, seeds, failed, paper, best, share of the possible gain and its interval (share_low, share_high).
+        caption: What the cells are, and which runs they show.
+        controls: The table's controls with our numbers; None where it has none.
+        left_out: A sentence on runs of smaller sizes, which fill no cell; "" where there are none.
     """
 
     table: PaperTable
     values: pd.DataFrame
     caption: str
-    left_out: str
+    controls: "FilledTable | None" = None
+    left_out: str = ""
 
     @property
     def has_runs(self) -> bool:
-        """Whether any of its rows was run here, or tried."""
+        """Whether any of its cells was run here, successfully or not."""
         return bool(self.values[["seeds", "failed"]].to_numpy().any())
 
-    def cells(self, bold: tuple[str, str] = ("", "")) -> pd.DataFrame:
-        """To read: rows × columns of "ours / the paper's", the best between the two strings of `bold`."""
-        texts = pd.Series([self._text(value, bold) for value in self.values.to_dict("records")])
-        return self._wide(texts, list(self.table.rows), list(self.table.columns))
-
-    def shares(self) -> pd.DataFrame | None:
-        """The share in % of the possible gain, (oracle without AB - ours) / (oracle without AB - oracle with AB).
-
-        None where it is known of no method: the table has no oracles, or these were not run, or on other experiments.
-        """
-        methods = ~self.values[["row", "column"]].isin(self.table.oracles).any(axis=1)
-        if self.values.loc[methods, "share"].isna().all():
-            return None
-        texts = pd.Series([_share_text(value) for value in self.values.to_dict("records")])
-        rows, columns = (
-            [name for name in names if name not in self.table.oracles]
-            for names in (self.table.rows, self.table.columns)
-        )
-        return self._wide(texts, rows, columns)
-
-    def _wide(self, texts: "pd.Series[str]", rows: list[str], columns: list[str]) -> pd.DataFrame:
-        """One text per line of `values`, as rows × columns."""
-        wide = self.values.assign(text=texts).pivot(index="row", columns="column", values="text")
-        wide = wide.loc[rows, columns]
-        wide.columns.name = wide.index.name = None
-        return wide
-
-    def _text(self, value: dict[Any, Any], bold: tuple[str, str]) -> str:
-        def number(x: float) -> str:
-            return f"{round(x, self.table.digits) + 0.0:.{self.table.digits}f}"  # no -0.000
-
-        paper = MISSING if pd.isna(value["paper"]) else number(value["paper"])
-        if not value["seeds"]:
-            return f"{FAILED if value['failed'] else MISSING} / {paper}"
-        varies = value["seeds"] > 1 and float(number(value["sd"])) > 0  # copies are the same whatever the seed
-        deviation = f"± {number(value['sd'])} " if varies else ""
-        spread = f"{deviation}[{number(value['low'])}, {number(value['high'])}]"
-        failed = f" ({value['failed']} failed)" if value["failed"] else ""
-        start, end = bold if value["best"] else ("", "")
-        return f"{start}{number(value['ours'])}{end} {spread}{failed} / {paper}"
-
-
-def _share_text(value: dict[Any, Any]) -> str:
-    if pd.isna(value["share"]):
-        return MISSING
-    known = not pd.isna(value["share_low"])
-    return f"{value['share']:.0%}" + (f" [{value['share_low']:.0%}, {value['share_high']:.0%}]" if known else "")
+    def shares(self) -> pd.DataFrame:
+        """Return the lines of `values` of all methods except the oracles; none where no share is known."""
+        oracles = self.table.oracles
+        lines = self.values[~(self.values["row"].isin(oracles) | self.values["column"].isin(oracles))]
+        return lines if lines["share"].notna().any() else lines.iloc[:0]
 
 
 def fill(
-    table: PaperTable, runs: pd.DataFrame, errors_of: ErrorsOf | None = None, people: pd.DataFrame | None = None
+    table: PaperTable,
+    runs: pd.DataFrame,
+    errors_of: ErrorsOf | None = None,
+    participants: pd.DataFrame | None = None,
 ) -> FilledTable:
-    """Put runs into a table: mean over seeds, and how far it can be trusted. People fill the rows that ask for them.
+    """Fill a table with means over seeds and their uncertainty.
 
     Args:
-        table: Of the paper.
+        table: The paper's.
         runs: See `read_runs`.
-        errors_of: Gives the errors of a run, of which the intervals of shares are made; None for no such intervals.
-        people: See `of_people`; None where nobody took the study.
+        errors_of: Returns the errors of a run, for intervals of shares; None for shares of means, without intervals.
+        participants: Numbers of human participants, see `cophy.report.pipeline.Supplement`; None without any.
     """
-    runs, left_out = _of_one_size(runs, table)
+    runs, left_out = _of_largest_size(runs, table)
     values, used = [], []
-    for choice, paper in zip(_choices(table), chain.from_iterable(table.paper), strict=True):
-        if choice.people:
-            numbers, found = _people(people, choice.people, choice.metric), runs.iloc[:0]
+    for row, column, names, paper in table.cells():
+        metric, setting = names.pop("metric"), names.pop("participants", None)
+        if setting is not None:
+            numbers, cell_runs = _participants(participants, names, setting, metric), runs.iloc[:0]
         else:
-            numbers, found = _cell(runs, choice, table.scale)
-        used.append(found)
-        about = {"row": choice.row, "column": choice.column, "metric": choice.metric}
-        values.append({**about, **numbers, "paper": paper})
-    frame = pd.DataFrame(values)
-    value, low, high = zip(*_shares(table, frame, used, errors_of), strict=True)
-    frame = frame.assign(best=_best(table, frame), share=value, share_low=low, share_high=high)
-    said = [caption(table, pd.concat(used)), *_controls(table, runs), left_out]
-    return FilledTable(table, frame, " ".join(said).strip(), left_out)
+            numbers, cell_runs = _cell(runs, names, metric, table.scale)
+        used.append(cell_runs)
+        values.append({"row": row, "column": column, "metric": metric, **numbers, "paper": paper})
+    frame = pd.DataFrame(values).astype({"paper": float})
+    share, low, high = zip(*_shares(table, frame, used, errors_of), strict=True)
+    frame = frame.assign(best=_best(table, frame), share=share, share_low=low, share_high=high)
+    controls = None
+    if table.controls:
+        nothing: list[list[float | None]] = [[None] * len(table.columns) for _ in table.controls]
+        controls = fill(replace(table, rows=table.controls, paper=nothing, controls={}), runs)
+    return FilledTable(table, frame, _caption(table, pd.concat(used)), controls, left_out)
 
 
-def _choices(table: PaperTable) -> list[Choice]:
-    """Of every cell, row by row."""
-    found = []
-    for row, in_row in table.rows.items():
-        for column, in_column in table.columns.items():
-            names = {"positions": "ground_truth", **table.select, **in_row, **in_column}
-            people, metric = names.pop(PEOPLE, ""), names.pop("metric")
-            found.append(Choice(row, column, metric, people, names))
-    return found
-
-
-def _of_one_size(runs: pd.DataFrame, table: PaperTable) -> tuple[pd.DataFrame, str]:
-    """The runs of each scenario's largest size, and a sentence on the others, which saw other data."""
+def _of_largest_size(runs: pd.DataFrame, table: PaperTable) -> tuple[pd.DataFrame, str]:
+    """Return the runs of each scenario's largest size, and a sentence on the others, which saw other data."""
     if "num_train" not in runs:  # none has a result
         return runs, ""
-    found = pd.concat([select(runs, **choice.names) for choice in _choices(table) if not choice.people])
-    finished = found[found["error"].isna()].sort_values("num_train")
+    cells = [{key: value for key, value in names.items() if key != "metric"} for _, _, names, _ in table.cells()]
+    candidates = pd.concat([select(runs, **names) for names in cells if "participants" not in names])
+    finished = candidates[candidates["error"].isna()].sort_values("num_train")
     largest = finished.groupby("scenario")["size"].last().to_dict()
     is_largest = [largest.get(name, size) == size for name, size in zip(runs["scenario"], runs["size"], strict=True)]
-    kept = runs[is_largest]
-    if not (others := sorted(set(found["size"]) - set(kept["size"]))):
-        return kept, ""
-    return kept, f"A table is of one size; runs of another are left out: {', '.join(others)}."
-
-
-def _controls(table: PaperTable, runs: pd.DataFrame) -> list[str]:
-    """A sentence for each control of the table that was run."""
-    if not table.controls:
-        return []
-    nothing: list[list[float | None]] = [[None] * len(table.columns) for _ in table.controls]
-    cells = fill(replace(table, rows=table.controls, paper=nothing, controls={}), runs).cells()
-    ours = {
-        label: row[~row.str.startswith(MISSING)].str.removesuffix(f" / {MISSING}") for label, row in cells.iterrows()
-    }
-    said = {label: ", ".join(f"{column} {text}" for column, text in row.items()) for label, row in ours.items()}
-    return [f"{label}: {numbers}." for label, numbers in said.items() if numbers]
+    remaining = runs[is_largest]
+    if not (others := sorted(set(candidates["size"]) - set(remaining["size"]))):
+        return remaining, ""
+    return remaining, f"A table is of one size; runs of another are left out: {', '.join(others)}."
 
 
 def select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
-    """The runs of these names."""
+    """Return the runs of these names."""
     if runs.empty:
         return runs
-    chosen = pd.Series(True, index=runs.index)
+    mask = pd.Series(True, index=runs.index)
     for name, value in names.items():
-        chosen &= runs[name] == value
-    return runs[chosen]
+        mask &= runs[name] == value
+    return runs[mask]
 
 
-def _cell(runs: pd.DataFrame, choice: Choice, scale: float) -> tuple[dict[str, Any], pd.DataFrame]:
-    """The numbers of a cell, and the runs that they are of."""
-    found, metric = select(runs, **choice.names), choice.metric
-    failed = int(found["error"].notna().sum()) if len(found) else 0
-    found = found[found[metric].notna()] if metric in found else found.iloc[:0]
-    if found.empty:
-        return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": failed}, found
-    found = of_seeds(found)
-    low, high = found[f"{metric}_low"].mean(), found[f"{metric}_high"].mean()
-    numbers = zip(NUMBERS, (found[metric].mean(), found[metric].std(), low, high), strict=True)
-    return {**{name: scale * value for name, value in numbers}, "seeds": len(found), "failed": failed}, found
+def _cell(runs: pd.DataFrame, names: dict[str, str], metric: str, scale: float) -> tuple[dict[str, Any], pd.DataFrame]:
+    """Return the numbers of a cell and the runs that they summarise."""
+    runs = select(runs, **names)
+    failed = int(runs["error"].notna().sum()) if len(runs) else 0
+    runs = runs[runs[metric].notna()] if metric in runs else runs.iloc[:0]
+    if runs.empty:
+        return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": failed}, runs
+    runs = comparable_seeds(runs)
+    low, high = runs[f"{metric}_low"].mean(), runs[f"{metric}_high"].mean()
+    numbers = zip(NUMBERS, (runs[metric].mean(), runs[metric].std(), low, high), strict=True)
+    return {**{name: scale * value for name, value in numbers}, "seeds": len(runs), "failed": failed}, runs
 
 
-def _people(people: pd.DataFrame | None, setting: str, metric: str) -> dict[str, Any]:
-    """The numbers of a cell of people: mean and interval over answers; one study is one seed."""
-    if people is None or (found := people[(people[PEOPLE] == setting) & (people["metric"] == metric)]).empty:
+def _participants(
+    participants: pd.DataFrame | None, names: dict[str, str], setting: str, metric: str
+) -> dict[str, Any]:
+    """Return the numbers of a cell of human participants; one study counts as one seed."""
+    wanted = {"scenario": names["scenario"], "split": names["split"], "setting": setting, "metric": metric}
+    lines = pd.DataFrame() if participants is None else select(participants, **wanted)
+    if lines.empty:
         return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": 0}
-    (line,) = found.to_dict("records")
-    return {**{name: float(line[name]) for name in NUMBERS}, "seeds": 1, "failed": 0}
+    return {**{name: float(lines.iloc[0][name]) for name in NUMBERS}, "seeds": 1, "failed": 0}
 
 
 def _shares(
     table: PaperTable, values: pd.DataFrame, used: list[pd.DataFrame], errors_of: ErrorsOf | None
 ) -> list[Share]:
-    """Of every cell; without errors, or for other metrics than the MSE, of means over the same test experiments."""
-    method, other = _axes(table)
-    cells = list(zip(values[method], values[other], strict=True))
-    runs, means = (dict(zip(cells, each, strict=True)) for each in (used, values["ours"]))
-    asked_people = [label for label, keys in table.rows.items() if PEOPLE in keys]  # on a part of the test split
-    found = []
-    for (name, column), row, metric in zip(cells, values["row"], values["metric"], strict=True):
-        compared = [(name, column), *((oracle, column) for oracle in table.ends)] if table.oracles else []
-        if not compared or row in asked_people or any(runs[cell].empty for cell in compared):
-            found.append(UNKNOWN)
+    """Return the share of each cell: from errors for the MSE, else from means over the same test experiments."""
+    if not table.oracles:
+        return [UNKNOWN] * len(values)
+    method_axis, other_axis = _axes(table)
+    cells = list(zip(values[method_axis], values[other_axis], strict=True))
+    runs, means = (dict(zip(cells, column, strict=True)) for column in (used, values["ours"]))
+    shares = []
+    for (label, other), metric in zip(cells, values["metric"], strict=True):
+        compared = [(label, other), (table.oracles[0], other), (table.oracles[-1], other)]
+        if any(runs[cell].empty for cell in compared):
+            shares.append(UNKNOWN)
         elif errors_of is not None and metric == "mse":
             ours, without, with_ab = (runs[cell] for cell in compared)
-            found.append(share_of_gain(ours, without, with_ab, errors_of))
+            shares.append(share_of_gain(ours, without, with_ab, errors_of))
         elif pd.concat([runs[cell] for cell in compared])["num_test"].nunique() > 1:
-            found.append(UNKNOWN)
+            shares.append(UNKNOWN)
         else:
             mean, mean_without, mean_with = (means[cell] for cell in compared)
             possible = mean_without - mean_with
-            found.append(Share((mean_without - mean) / possible if possible else np.nan))
-    return found
+            shares.append(Share((mean_without - mean) / possible if possible else np.nan))
+    return shares
 
 
 def _axes(table: PaperTable) -> tuple[str, str]:
-    """The axis of the methods, and the other."""
-    return ("row", "column") if table.methods == "rows" else ("column", "row")
+    """Return the axis of the methods, and the other one."""
+    return ("row", "column") if table.methods_in == "rows" else ("column", "row")
 
 
 def _best(table: PaperTable, values: pd.DataFrame) -> "pd.Series[bool]":
-    """Which cells are the best of the methods they compete with."""
-    if table.methods is None:
+    """Return which cells are the best of the methods that compete."""
+    if table.methods_in is None:
         return pd.Series(False, index=values.index)
-    method, other = _axes(table)
-    comparable = values["ours"].where(~values[method].isin([*table.bounds, *table.oracles]))
-    best = comparable.groupby(values[other]).transform("min" if table.lower_is_better else "max")
+    method_axis, other_axis = _axes(table)
+    competitors = [label for label, method in table.methods.items() if method.competes and not method.is_oracle]
+    comparable = values["ours"].where(values[method_axis].isin(competitors))
+    best = comparable.groupby(values[other_axis]).transform("min" if table.lower_is_better else "max")
     return comparable.eq(best) & comparable.notna()

@@ -1,12 +1,8 @@
-"""The rows of people in Table 1, and tables of what was answered in every study.
-
-Files of answers under outputs/study, judged with the data that they are on.
-The paper's two figures of people: where they clicked, and where objects ended, on the pictures of C; twins side by side.
-"""
+"""Human participants in the report: their rows in Table 1, tables of every study, and figures of their clicks."""
 
 import json
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from cophy.dataset.states import States
 from cophy.errors import CophyError, check_name
-from cophy.report.runs import Choices, notice
+from cophy.report.pipeline import Supplement
+from cophy.report.runs import notice
 from cophy.study.answers import ANSWERS, PERSON, SIMULATED
 from cophy.study.experiments import IMAGE, Scenes, image_directory
 from cophy.study.judging import human_rows, judge, read_clicks, read_descriptions
@@ -29,20 +27,21 @@ from cophy.study.plan import check_resolution
 log = logging.getLogger(__name__)
 
 FILES = (ANSWERS, SIMULATED)
-# what comes of a description that study.py did not write
-STRANGE = (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError)
+# raised by a description that study.py did not write
+INVALID = (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError)
+Dataset = Callable[[str, int, str, int, Sequence[str]], States]  # scenario, num_objects, size, data_seed, overrides
 
 
 @dataclass(frozen=True)
 class StudyAnswers:
-    """What was answered in one study.
+    """The answers of one study.
 
     Attributes:
-        scenario: Its name.
+        scenario: Name of the scenario.
         split: Name of the split whose test half was shown.
         data: Id of the dataset.
-        resolution: Of the pictures, pixels.
-        directory: Of the study.
+        resolution: Resolution of the images, pixels.
+        directory: Folder of the study.
         judged: See `judge`.
         rows: See `human_rows`.
     """
@@ -56,65 +55,73 @@ class StudyAnswers:
     rows: pd.DataFrame
 
 
-def read_answers(outputs: Path, choices: Choices) -> list[StudyAnswers]:
-    """All studies below a folder. What cannot be read, or whose data are not there, is named and left out.
+def read_supplement(outputs: Path, dataset: Dataset) -> Supplement:
+    """Return what the studies below a folder add to the report.
 
     Args:
         outputs: Studies are in its folder `study`, one folder per scenario.
-        choices: Where the data are.
+        dataset: Returns the dataset of a study.
     """
-    found = []
+    studies = read_answers(outputs, dataset)
+    return Supplement(table_numbers(studies), study_tables(studies), CAPTION, dict(draw_studies(studies)))
+
+
+def read_answers(outputs: Path, dataset: Dataset) -> list[StudyAnswers]:
+    """Return all studies below a folder; what cannot be read, or whose data do not exist, is named and left out."""
+    studies = []
     for path in sorted(path for name in FILES for path in (outputs / "study").glob(f"*/{name}")):
         with _left_out(str(path)):
             for study, description in read_descriptions(path).items():
                 with _left_out(f"study {study} of {path}"):
-                    found += _judged(path, study, json.loads(description), choices)
-    return found
+                    studies += _judge(path, study, json.loads(description), dataset)
+    return studies
 
 
 @contextmanager
-def _left_out(what: str) -> Iterator[None]:
-    """Around the reading of something that others need not share the fate of: what is wrong with it is told."""
+def _left_out(name: str) -> Iterator[None]:
+    """Log why a file or study cannot be read, and continue with the others."""
     try:
         yield
-    except (*STRANGE, CophyError) as error:
-        said = str(error) if isinstance(error, CophyError) else "no file of answers that study.py wrote"
-        log.info(notice(f"{what} is left out: {said}"))
+    except (*INVALID, CophyError) as error:
+        reason = str(error) if isinstance(error, CophyError) else "not a file of answers that study.py wrote"
+        log.info(notice(f"{name} is left out: {reason}"))
 
 
-def _judged(path: Path, study: str, said: dict[str, Any], choices: Choices) -> list[StudyAnswers]:
-    """One, or none where nobody answered."""
+def _judge(path: Path, study: str, description: dict[str, Any], dataset: Dataset) -> list[StudyAnswers]:
+    """Return the judged answers of a study; none where there are no clicks."""
     clicks = read_clicks(path, study)
     if clicks.empty:
         return []
-    for name in (said["scenario"], said["split"], *clicks["kind"].unique()):  # figures are called by them
+    scenario, split, resolution = description["scenario"], description["split"], int(description["resolution"])
+    for name in (scenario, split, *clicks["kind"].unique()):  # parts of the names of figures
         check_name("study", name)
-    check_resolution(int(said["resolution"]))
-    names = said["scenario"], int(said["num_objects"]), said["size"]
-    states = choices.dataset(*names, int(said.get("data_seed", 0)), [str(each) for each in said.get("overrides", [])])
-    if states.id != said["data"] or not states.is_finished():
-        raise CophyError(f"its data, {said['scenario']}/{said['data']}, are not there")
-    scenes = Scenes(states.spec.scenario, states.load(), int(said["resolution"]))
-    judged = judge(clicks, scenes)
-    keys = said["scenario"], said["split"], said["data"], int(said["resolution"])
-    return [StudyAnswers(*keys, path.parent, judged, human_rows(judged))]
+    check_resolution(resolution)
+    data_seed, overrides = (
+        int(description.get("data_seed", 0)),
+        [str(each) for each in description.get("overrides", [])],
+    )
+    states = dataset(scenario, int(description["num_objects"]), description["size"], data_seed, overrides)
+    if states.id != description["data"] or not states.is_finished():
+        raise CophyError(f"its data, {scenario}/{description['data']}, are not there")
+    judged = judge(clicks, Scenes(states.spec.scenario, states.load(), resolution))
+    return [StudyAnswers(scenario, split, states.id, resolution, path.parent, judged, human_rows(judged))]
 
 
-NUM_PAIRS = 3  # that are shown: those with the most answers
-TRUTH_RADIUS = 0.04  # of the picture
+NUM_PAIRS = 3  # drawn: those with the most answers
+TRUTH_RADIUS = 0.04  # part of the image
 
 
 def draw_studies(studies: Sequence[StudyAnswers]) -> Iterator[tuple[str, Figure]]:
-    """Name and figure for every study, kind of participants and setting."""
+    """Yield name and figure for every study, kind of participants and setting."""
     for number, study in enumerate(studies):
         answered = study.judged[(study.judged["practice"] == 0) & study.judged["x"].notna()]
-        for (kind, setting), found in answered.groupby(["kind", "setting"]):
-            who = "people" if kind == PERSON else f"simulated: {kind} (no people)"
+        for (kind, setting), clicks in answered.groupby(["kind", "setting"]):
+            who = "human participants" if kind == PERSON else f"simulated participants: {kind}"
             title = f"{study.scenario} {study.split}, {SETTING_LABELS[str(setting)]}, {who}"
             same = [s for s in studies[:number] if (s.scenario, s.split, s.directory) == _place(study)]
             again = f"-{len(same) + 1}" if any(kind in set(s.judged["kind"]) for s in same) else ""
             name = f"study-{study.scenario}-{study.split}-{kind}-{setting}{again}"
-            yield name, _draw(study, found, title)
+            yield name, _draw(study, clicks, title)
 
 
 def _place(study: StudyAnswers) -> tuple[object, ...]:
@@ -122,7 +129,7 @@ def _place(study: StudyAnswers) -> tuple[object, ...]:
 
 
 def _draw(study: StudyAnswers, clicks: pd.DataFrame, title: str) -> Figure:
-    """Twin pairs below each other, twins side by side."""
+    """Draw twin pairs below each other, twins next to each other."""
     pairs = (clicks["experiment"] // 2).value_counts().sort_index().sort_values(ascending=False, kind="stable")
     shown = sorted(pairs.index[:NUM_PAIRS].tolist())
     figure = Figure(figsize=(6.4, 0.8 + 3.3 * len(shown)), layout="constrained")
@@ -139,13 +146,13 @@ def _draw(study: StudyAnswers, clicks: pd.DataFrame, title: str) -> Figure:
 def _draw_experiment(axis: Axes, study: StudyAnswers, experiment: int, clicks: pd.DataFrame) -> None:
     size = study.resolution
     path = image_directory(study.directory, study.scenario, study.data, size) / f"{experiment}-{IMAGE}"
-    picture = cv2.imread(str(path)) if path.exists() else None
-    if picture is None:
-        log.info(notice(f"{path} is not there: its figure has no picture of C. study.py draws it."))
-        picture = np.full((size, size, 3), 235, np.uint8)
-    axis.imshow(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), extent=(0, size, size, 0))
-    for color, found in clicks.groupby("color"):
-        axis.scatter(found["x"], found["y"], s=14, color=color, edgecolor="white", linewidth=0.5, zorder=3)
+    image = cv2.imread(str(path)) if path.exists() else None
+    if image is None:
+        log.info(notice(f"{path} does not exist: its figure has no image of C. study.py draws it."))
+        image = np.full((size, size, 3), 235, np.uint8)
+    axis.imshow(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), extent=(0, size, size, 0))
+    for color, group in clicks.groupby("color"):
+        axis.scatter(group["x"], group["y"], s=14, color=color, edgecolor="white", linewidth=0.5, zorder=3)
     for end in clicks.drop_duplicates("slot")[["true_x", "true_y", "color"]].to_dict("records"):
         for width, line in ((3.4, "white"), (1.8, end["color"])):
             circle = axis.add_patch(Circle((end["true_x"], end["true_y"]), TRUTH_RADIUS * size))
@@ -156,42 +163,45 @@ def _draw_experiment(axis: Axes, study: StudyAnswers, experiment: int, clicks: p
 SETTING_LABELS = {"non_cf": "without AB", "cf": "with AB"}
 CAPTION = (
     "Error of the clicks, pixels of 448 × 448: mean over answers. 1 is the lowest object of C; the mean is of these columns. "
-    "σ: standard deviation over answers, of their mean error over clicked objects. By people, by pairs: 95 % interval of the mean, "
-    "people or twin pairs drawn anew. The models of Table 1 are tested on all pairs."
+    "σ: standard deviation over answers, of their mean error over clicked objects. By participants, by pairs: 95 % bootstrap "
+    "interval of the mean over participants or twin pairs. The models of Table 1 are tested on all pairs."
 )
+NUMBERS = ["scenario", "split", "setting", "metric", "ours", "sd", "low", "high", "participants", "answers"]
 
 
-def of_people(studies: Sequence[StudyAnswers], scenario: str, split: str) -> pd.DataFrame:
-    """What fills the rows of people in Table 1: one line per setting and metric.
+def table_numbers(studies: Sequence[StudyAnswers]) -> pd.DataFrame:
+    """Return the numbers of human participants for the paper's tables, one line per scenario, split, setting and metric.
 
-    Args:
-        studies: All that were found.
-        scenario: Of the table.
-        split: Of the table.
-
-    Returns:
-        Columns people (the setting), metric, ours, sd, low and high (by participant). Where there are several studies, those
-        of the one with the most answers.
+    Of several studies on one split, the one with the most answers counts. low and high: over participants.
     """
-    rows = [s.rows[s.rows["kind"] == PERSON] for s in studies if (s.scenario, s.split) == (scenario, split)]
-    largest = max(rows, key=lambda found: int(found["answers"].sum()), default=pd.DataFrame())
-    if largest.empty:
-        return pd.DataFrame(columns=["people", "metric", "ours", "sd", "low", "high"])
-    metric = largest["measure"].str.replace("rank", "pixel_error").replace("mean", "pixel_error_by_height")
-    found = largest.assign(people=largest["setting"], metric=metric, ours=largest["mean"], sd=largest["sigma"])
-    return found.assign(low=found["low_people"], high=found["high_people"])[
-        ["people", "metric", "ours", "sd", "low", "high", "participants", "answers"]
+    largest: dict[tuple[str, str], pd.DataFrame] = {}
+    for study in studies:
+        rows, place = study.rows[study.rows["kind"] == PERSON], (study.scenario, study.split)
+        if len(rows) and (place not in largest or rows["answers"].sum() > largest[place]["answers"].sum()):
+            largest[place] = rows
+    frames = [
+        rows.assign(
+            scenario=scenario,
+            split=split,
+            metric=rows["measure"].str.replace("rank", "pixel_error").replace("mean", "pixel_error_by_height"),
+            ours=rows["mean"],
+            sd=rows["sigma"],
+            low=rows["low_people"],
+            high=rows["high_people"],
+        )[NUMBERS]
+        for (scenario, split), rows in largest.items()
     ]
+    return pd.concat(frames) if frames else pd.DataFrame(columns=NUMBERS)
 
 
 def study_tables(studies: Sequence[StudyAnswers]) -> dict[str, pd.DataFrame]:
-    """Title -> what people answered, and, apart, what simulated participants did."""
+    """Return title -> table of the answers of human participants, and separately of simulated ones."""
     tables: dict[str, pd.DataFrame] = {}
     for study in studies:
-        for are_people in (True, False):
-            rows = study.rows[(study.rows["kind"] == PERSON) == are_people]
+        for are_human in (True, False):
+            rows = study.rows[(study.rows["kind"] == PERSON) == are_human]
             if len(rows):
-                who = "people" if are_people else "simulated participants, no people"
+                who = "human participants" if are_human else "simulated participants"
                 title = f"Human study, {study.scenario} {study.split}: {who}"
                 while title in tables:  # a study with other settings
                     title += " (another study)"
@@ -201,8 +211,8 @@ def study_tables(studies: Sequence[StudyAnswers]) -> dict[str, pd.DataFrame]:
 
 def _table(rows: pd.DataFrame) -> pd.DataFrame:
     lines = {}
-    for (kind, setting), found in rows.groupby(["kind", "setting"], sort=False):
-        by_measure = found.set_index("measure")
+    for (kind, setting), group in rows.groupby(["kind", "setting"], sort=False):
+        by_measure = group.set_index("measure")
         mean = by_measure.loc["mean"]
         ranks = sorted(name for name in by_measure.index if name != "mean")
         label = SETTING_LABELS[str(setting)] if kind == PERSON else f"{kind}, {SETTING_LABELS[str(setting)]}"
@@ -210,7 +220,7 @@ def _table(rows: pd.DataFrame) -> pd.DataFrame:
             **{rank.removeprefix("rank_"): f"{by_measure['mean'][rank]:.1f}" for rank in ranks},
             "mean": f"{mean['mean']:.1f}",
             "σ": f"{mean['sigma']:.1f}",
-            "by people": f"[{mean['low_people']:.1f}, {mean['high_people']:.1f}]",
+            "by participants": f"[{mean['low_people']:.1f}, {mean['high_people']:.1f}]",
             "by pairs": f"[{mean['low_pairs']:.1f}, {mean['high_pairs']:.1f}]",
             "participants": str(mean["participants"]),
             "answers": str(mean["answers"]),

@@ -8,15 +8,17 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from cophy.commands.report import ComposedData
 from cophy.config import generated_by, settings
 from cophy.dataset import generation
 from cophy.dataset.states import States
-from cophy.report.tables import fill, paper_tables
-from cophy.report_choices import ComposedChoices
+from cophy.report.paper_tables import paper_tables
+from cophy.report.render import Cell, table_cells
+from cophy.report.tables import fill
 from cophy.study.answers import SCHEMA, AnswerStore
 from cophy.study.experiments import StudyExperiments
 from cophy.study.judging import human_rows
-from cophy.study.report import StudyAnswers, draw_studies, of_people, read_answers, study_tables
+from cophy.study.report import StudyAnswers, draw_studies, read_answers, study_tables, table_numbers
 from tests.conftest import tiny_spec
 from tests.study.conftest import SMALL
 
@@ -43,26 +45,28 @@ def study(rows: pd.DataFrame) -> StudyAnswers:
 
 def test_people_fill_table_1_beside_the_papers() -> None:
     table = paper_tables()[0]
-    people = of_people([study(pd.concat([rows("person"), rows("stays", -9.0)]))], "blocktower", "3to3")
-    cells = fill(table, pd.DataFrame(), people=people).cells()
+    numbers = table_numbers([study(pd.concat([rows("person"), rows("stays", -9.0)]))])
+    cells = table_cells(fill(table, pd.DataFrame(), participants=numbers)).map(Cell.line)
     assert cells.loc["Human", "Top"] == "60.00 [0.00, 99.00] / 99.98"
     assert cells.loc["Human", "Mean"] == "30.00 [0.00, 99.00] / 54.54"
-    assert cells.loc["Human, no AB", "Bottom"] == "14.00 [0.00, 99.00] / 13.67"
+    assert cells.loc["Human without AB", "Bottom"] == "14.00 [0.00, 99.00] / 13.67"
 
 
 def test_simulated_participants_fill_a_table_of_their_own() -> None:
     only_simulated = [study(rows("stays"))]
-    assert of_people(only_simulated, "blocktower", "3to3").empty
-    cells = fill(paper_tables()[0], pd.DataFrame(), people=of_people(only_simulated, "blocktower", "3to3")).cells()
+    assert table_numbers(only_simulated).empty
+    cells = table_cells(fill(paper_tables()[0], pd.DataFrame(), participants=table_numbers(only_simulated))).map(
+        Cell.line
+    )
     assert cells.loc["Human", "Mean"] == "— / 54.54"
     ((title, table),) = study_tables(only_simulated).items()
-    assert "no people" in title
+    assert "simulated participants" in title
     assert table.index.tolist() == ["stays, with AB", "stays, without AB"]
 
 
 def test_people_do_not_compete_and_have_no_share() -> None:
-    people = of_people([study(rows("person"))], "blocktower", "3to3")
-    values = fill(paper_tables()[0], pd.DataFrame(), people=people).values
+    numbers = table_numbers([study(rows("person"))])
+    values = fill(paper_tables()[0], pd.DataFrame(), participants=numbers).values
     human = values[values["row"] == "Human"]
     assert not human["best"].any()
     assert human["share"].isna().all()
@@ -103,7 +107,7 @@ def test_answers_without_their_data_are_named(
     states = States(tiny_spec("blocktower"), tiny_data)
     write_answers(tmp_path / "study" / "x" / "answers.sqlite", description(data or states.id), experiment=experiment)
     with caplog.at_level(logging.INFO):
-        assert read_answers(tmp_path, ComposedChoices("generated", tiny_data)) == []
+        assert read_answers(tmp_path, ComposedData("generated", tiny_data).dataset) == []
     assert reason in " ".join(caplog.text.split())
 
 
@@ -117,7 +121,7 @@ def test_figures_are_called_by_no_path(
         db.execute("UPDATE participants SET kind=?", (kind,))
     db.close()
     with caplog.at_level(logging.INFO):
-        assert read_answers(tmp_path, ComposedChoices("generated", tiny_data)) == []
+        assert read_answers(tmp_path, ComposedData("generated", tiny_data).dataset) == []
     assert "left out" in caplog.text
 
 
@@ -129,7 +133,7 @@ def test_strange_files_are_named(
     path.parent.mkdir(parents=True)
     path.write_bytes(content)
     with caplog.at_level(logging.INFO):
-        assert read_answers(tmp_path, ComposedChoices("generated", tiny_data)) == []
+        assert read_answers(tmp_path, ComposedData("generated", tiny_data).dataset) == []
     assert "left out" in caplog.text
 
 
@@ -157,7 +161,7 @@ def test_strange_descriptions_are_named(
 ) -> None:
     write_answers(tmp_path / "study" / "x" / "answers.sqlite", said)
     with caplog.at_level(logging.INFO):
-        assert read_answers(tmp_path, ComposedChoices("generated", tiny_data)) == []
+        assert read_answers(tmp_path, ComposedData("generated", tiny_data).dataset) == []
     assert "left out" in caplog.text
 
 
@@ -177,7 +181,7 @@ def test_a_study_whose_data_are_gone_hides_no_other(
         db.execute("INSERT INTO clicks SELECT 2, position, slot, x, y, at_ms FROM clicks")
     db.close()
     with caplog.at_level(logging.INFO):
-        assert len(read_answers(tmp_path, ComposedChoices("generated", tiny_data))) == 1
+        assert len(read_answers(tmp_path, ComposedData("generated", tiny_data).dataset)) == 1
     assert "study pilot of" in " ".join(caplog.text.split())
 
 
@@ -187,14 +191,14 @@ def test_a_study_on_data_of_another_seed_and_grid_is_found(tmp_path: Path) -> No
     generation.make(states, workers=2)
     shown = StudyExperiments(states, settings("study").split, SMALL, tmp_path)
     write_answers(tmp_path / "study" / "x" / "answers.sqlite", shown.description)
-    (found,) = read_answers(tmp_path, ComposedChoices("generated", tmp_path / "data"))
+    (found,) = read_answers(tmp_path, ComposedData("generated", tmp_path / "data").dataset)
     assert found.data == states.id
 
 
 def test_answers_are_judged_and_drawn(tiny_data: Path, tmp_path: Path) -> None:
     states = States(tiny_spec("blocktower"), tiny_data)
     write_answers(tmp_path / "study" / "x" / "answers.sqlite", description(states.id))
-    (found,) = read_answers(tmp_path, ComposedChoices("generated", tiny_data))
+    (found,) = read_answers(tmp_path, ComposedData("generated", tiny_data).dataset)
     pd.testing.assert_frame_equal(found.rows, human_rows(found.judged))
     ((name, figure),) = draw_studies([found])
     assert name == "study-blocktower-3to3-person-cf"

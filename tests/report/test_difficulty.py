@@ -14,7 +14,8 @@ from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States
-from cophy.report.difficulty import ALL, WORDS, draw, groups, mse_by_difficulty, page
+from cophy.report.difficulty import ALL, TITLES, draw, groups, mse_by_difficulty, page
+from cophy.report.predictions import read_stored_predictions
 from cophy.training.evaluation import evaluate
 from cophy.training.run import write_predictions
 from cophy.types import Prediction
@@ -40,18 +41,20 @@ def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, 
     directory.mkdir()
     write_predictions(directory, prediction, targets)
     measured = {name: mean(values) for name, values in evaluate(prediction, targets, SPEC.scenario).items()}
-    line = run("cophynet", seed=seed, size="tiny", directory=directory, dataset_ids=[SPEC.id])
+    line = run("cophynet", seed=seed, size="tiny", directory=directory, dataset_ids=[SPEC.id], metric_dims=3)
     return line | measured | changes
 
 
 def broken_down(lines: list[dict[str, Any]], arrays: dict[str, np.ndarray], spec: DatasetSpec = SPEC) -> pd.DataFrame:
-    return mse_by_difficulty(pd.DataFrame(lines), arrays, spec, Part(3))
+    runs = pd.DataFrame(lines)
+    stored = read_stored_predictions(runs, runs["directory"])
+    return mse_by_difficulty(runs, stored, arrays, spec, Part(3))
 
 
 def test_groups_add_up_to_the_mse_of_the_run(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
     line = finished_run(arrays, tmp_path)
     found = broken_down([line], arrays)
-    assert list(found["by"].unique()) == list(WORDS)
+    assert list(found["by"].unique()) == list(TITLES)
     for by, group in found.groupby("by"):
         assert ((group["low"] <= group["mse"]) & (group["mse"] <= group["high"])).all()
         if by != "displacement":  # removals have none
@@ -105,8 +108,8 @@ def test_an_oracle_that_was_asked_about_fewer_is_left_out(
     caplog.set_level(logging.INFO)
     line = finished_run({name: array[:8] for name, array in arrays.items()}, tmp_path)
     assert broken_down([line], arrays).empty
-    assert f"asked about 8 of {SPEC.num_experiments} test experiments" in caplog.text
-    assert "again" not in caplog.text
+    assert f"predicted 8 of {SPEC.num_experiments} test experiments" in caplog.text
+    assert "run it again" not in caplog.text
 
 
 def test_thirds_hold_everything_once_and_keep_equal_numbers_together() -> None:
@@ -128,4 +131,4 @@ def test_page_and_figures_say_what_they_show(arrays: dict[str, np.ndarray], tmp_
     ((name, figure),) = draw(found, {"blocktower": SPEC.scenario})
     assert name == "difficulty-blocktower-3to3-tiny"
     titles = [axis.get_title() for axis in figure.axes if axis.axison]
-    assert titles == ["cell: outcome of AB, of CD", *list(WORDS.values())[2:]]
+    assert titles == ["cell: outcome of AB, of CD", *list(TITLES.values())[2:]]

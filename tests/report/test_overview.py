@@ -3,6 +3,7 @@
 import pandas as pd
 
 from cophy.report.overview import twin_tables
+from cophy.report.render import Cell
 from tests.report.lines import measured, run
 
 
@@ -19,7 +20,7 @@ def test_every_run_on_twins_has_a_line_and_every_tested_split_a_column() -> None
         on_twins("cophynet", 0.2, 0.6, split="3to4"),
         run("copy_b", source="cophy"),
     ]
-    explained, right = twin_tables(pd.DataFrame(runs)).values()
+    explained, right = (table.map(Cell.line) for table in twin_tables(pd.DataFrame(runs)).values())
     assert list(explained.columns) == ["blocktower 3to3, small, 40 epochs", "blocktower 3to4, small, 40 epochs"]
     assert explained.loc["cophynet"].tolist() == ["50.0 % ± 14.1 [49.0, 52.0]", "20.0 % [19.0, 22.0]"]
     assert right.loc["in"].tolist() == ["50.0 % [49.0, 52.0]", "—"]
@@ -29,10 +30,10 @@ def test_every_run_on_twins_has_a_line_and_every_tested_split_a_column() -> None
 def test_what_trains_nothing_stands_beside_the_longest_training() -> None:
     copy = on_twins("copy_b", 0.3, 0.6, is_trained=False)
     runs = [on_twins("cophynet", 0.4, 0.7, epochs=15), on_twins("in", 0.0, 0.5, epochs=5), copy]
-    explained, _ = twin_tables(pd.DataFrame(runs)).values()
+    explained, _ = (table.map(Cell.line) for table in twin_tables(pd.DataFrame(runs)).values())
     assert explained.loc["copy_b"].tolist() == ["30.0 % [29.0, 32.0]", "—"]
     assert list(explained.columns) == ["blocktower 3to3, small, 15 epochs", "blocktower 3to3, small, 5 epochs"]
-    alone, _ = twin_tables(pd.DataFrame([copy])).values()
+    alone, _ = (table.map(Cell.line) for table in twin_tables(pd.DataFrame([copy])).values())
     assert alone["blocktower 3to3, small"].to_dict() == {"copy_b": "30.0 % [29.0, 32.0]"}
 
 

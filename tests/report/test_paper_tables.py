@@ -1,4 +1,4 @@
-"""conf/table/: the sweep of a table runs what the table shows."""
+"""The sweep of a table runs what the table shows."""
 
 import itertools
 from functools import cache
@@ -9,9 +9,8 @@ from hydra import compose, initialize_config_dir
 
 from cophy.config import CONF
 from cophy.dataset.experiment_set import ORACLES
-from cophy.report.tables import PaperTable, paper_tables
+from cophy.report.paper_tables import PaperTable, methods, paper_tables
 from tests.commands import train
-from tests.conftest import ROOT
 
 
 @cache
@@ -28,23 +27,23 @@ def test_the_sweep_of_a_table_runs_what_its_cells_show(table: PaperTable) -> Non
         cfg = compose("train", [f"+table={table.id}"], return_hydra_config=True)
     params = {key: str(value).split(",") for key, value in cfg.hydra.sweeper.params.items()}
     assert params.keys() <= {"scenario", "split", "model", "+row", "positions"}
-    methods = [choices_of(row) for row in params["+row"]] if "+row" in params else [(params["model"][0], "full")]
+    models = [choices_of(row) for row in params["+row"]]
     positions = params.get("positions", [cfg.positions])
-    product = itertools.product(params["scenario"], params["split"], methods, positions)
+    product = itertools.product(params["scenario"], params["split"], models, positions)
     swept = {(scenario, split, *method, seen) for scenario, split, method, seen in product}
-    cells = [
-        {"positions": "ground_truth", **table.select, **row, **column}
-        for row, column in itertools.product([*table.rows.values(), *table.controls.values()], table.columns.values())
-        if "people" not in row
-    ]
+    controls = itertools.product(table.controls.values(), table.columns.values())
+    cells = [names for _, _, names, _ in table.cells() if "participants" not in names]
+    cells += [{"positions": "ground_truth", **table.select, **row, **column} for row, column in controls]
     names = ("scenario", "split", "model", "ablation", "positions")
     shown = {tuple(cell[name] for name in names) for cell in cells}
     assert shown <= swept
     assert {model for _, _, model, _, _ in swept - shown} <= {"copy_c", "copy_b"}  # what costs no training
 
 
-def test_every_table_has_a_sweep() -> None:
-    assert {path.stem for path in (ROOT / "conf" / "table").iterdir()} == {table.id for table in paper_tables()}
+def test_every_method_is_a_choice() -> None:
+    for method in methods().values():
+        if method.model is not None:
+            assert choices_of(method.name) == (method.model, method.ablation)
 
 
 @pytest.mark.parametrize("scenario", ["blocktower", "balls", "collision"])
@@ -52,7 +51,7 @@ def test_every_split_of_a_table_is_tested_by_every_oracle(scenario: str) -> None
     """So that no column of oracles stays empty."""
     table = next(table for table in paper_tables() if table.id == scenario)
     tested = {row["split"] for row in table.rows.values()}
-    oracles = {column["model"] for label, column in table.columns.items() if label in table.oracles}
+    oracles = {table.columns[label]["model"] for label in table.oracles}
     assert oracles == {f"oracle_{oracle}" for oracle in ORACLES}
     with initialize_config_dir(str(CONF), version_base="1.3"):
         params = compose("train", [f"+table={scenario}"], return_hydra_config=True).hydra.sweeper.params

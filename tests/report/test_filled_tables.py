@@ -2,44 +2,55 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 
-from cophy.report.render import markdown
-from cophy.report.tables import Errors, fill, paper_tables
+from cophy.report.paper_tables import paper_tables
+from cophy.report.render import caption, latex, markdown, share_cells, table_cells
+from cophy.report.tables import Errors, FilledTable, fill
 from tests.report.lines import measured, run
 
 TABLES = {table.id: table for table in paper_tables()}
+
+
+def cells(filled: FilledTable, bold: tuple[str, str] = ("", "")) -> pd.DataFrame:
+    """The table as text."""
+    return table_cells(filled).map(lambda cell: cell.line(bold))
+
+
+def shares_of(filled: FilledTable) -> pd.DataFrame:
+    """The shares as text."""
+    return share_cells(filled).map(lambda cell: cell.line())
 
 
 def test_the_best_of_the_comparable_methods_is_bold() -> None:
     runs = pd.DataFrame(
         [measured("mse", 0.4, "copy_c"), measured("mse", 0.2, "cophynet"), measured("mse", 0.1, "in", "gt_confounders")]
     )
-    cells = fill(TABLES["blocktower"], runs).cells(bold=("**", "**")).loc["3→3"]
-    assert cells["Copy C"] == "0.400 [0.390, 0.420] / 0.470"
-    assert cells["CoPhyNet"] == "**0.200** [0.190, 0.220] / 0.294"
-    assert cells["IN sup."] == "0.100 [0.090, 0.120] / 0.296"  # a bound does not compete
-    assert cells["NPE"] == "— / 0.331"
+    texts = cells(fill(TABLES["blocktower"], runs), ("**", "**")).loc["3→3"]
+    assert texts["Copy C"] == "0.400 [0.390, 0.420] / 0.470"
+    assert texts["CoPhyNet"] == "**0.200** [0.190, 0.220] / 0.294"
+    assert texts["IN with true confounders"] == "0.100 [0.090, 0.120] / 0.296"  # a bound does not compete
+    assert texts["NPE"] == "— / 0.331"
 
 
 def test_accuracies_are_percent_and_higher_is_better() -> None:
     metric = "sequence_stability_accuracy"
     runs = pd.DataFrame([measured(metric, 0.5, "copy_c"), measured(metric, 0.75, "cophynet")])
-    cells = fill(TABLES["stability"], runs).cells(bold=("**", "**"))["3→3"]
-    assert cells["CoPhyNet"] == "**75.0** [74.0, 77.0] / 76.8"
-    assert cells["Copy C"] == "50.0 [49.0, 52.0] / 71.0"
+    texts = cells(fill(TABLES["stability"], runs), ("**", "**"))["3→3"]
+    assert texts["CoPhyNet"] == "**75.0** [74.0, 77.0] / 76.8"
+    assert texts["Copy C"] == "50.0 [49.0, 52.0] / 71.0"
 
 
 def test_the_share_of_the_possible_gain_is_between_the_oracles() -> None:
     models = {"oracle_feedforward": 0.3, "oracle_counterfactual": 0.1, "cophynet": 0.15, "in": 0.3, "copy_c": 0.4}
     filled = fill(TABLES["blocktower"], pd.DataFrame([measured("mse", mse, model) for model, mse in models.items()]))
-    shares = filled.shares()
-    assert shares is not None
+    shares = shares_of(filled)
     assert shares.loc["3→3", ["CoPhyNet", "IN", "Copy C", "NPE"]].tolist() == ["75%", "0%", "-50%", "—"]
     assert not any("Oracle" in column for column in shares.columns)
     assert not filled.values.set_index(["row", "column"])["best"]["3→3", "Oracle with AB"]  # it does not compete
     assert "75%" in markdown(filled)
     without = pd.DataFrame([measured("mse", 0.2, "cophynet")])
-    assert fill(TABLES["blocktower"], without).shares() is None
+    assert fill(TABLES["blocktower"], without).shares().empty
 
 
 def test_what_is_given_to_other_oracles_does_not_move_the_share() -> None:
@@ -47,18 +58,17 @@ def test_what_is_given_to_other_oracles_does_not_move_the_share() -> None:
     given = {"oracle_initial_velocity": 0.25, "oracle_confounders": 0.0}
     lines = [measured("mse", mse, model) for model, mse in (models | given).items()]
     filled = fill(TABLES["blocktower"], pd.DataFrame(lines))
-    shares, cells = filled.shares(), filled.cells()
-    assert shares is not None
+    shares, texts = shares_of(filled), cells(filled)
     assert shares.loc["3→3", "CoPhyNet"] == "75%"
-    assert cells.loc["3→3", "Oracle, initial velocity given"].startswith("0.250")
-    assert cells.loc["3→3", "Oracle, confounders given"].startswith("0.000")
+    assert texts.loc["3→3", "Oracle with initial velocity"].startswith("0.250")
+    assert texts.loc["3→3", "Oracle with confounders"].startswith("0.000")
     assert not filled.values["best"][filled.values["column"].str.startswith("Oracle")].any()
 
 
 def test_a_caption_says_what_oracles_know_where_there_are_some() -> None:
     runs = pd.DataFrame([measured("mse", 0.3, "oracle_feedforward")])
-    assert "beyond positions: object type and pose" in fill(TABLES["blocktower"], runs).caption
-    assert "Oracles" not in fill(TABLES["blocktower"], pd.DataFrame([measured("mse", 0.3, "in")])).caption
+    assert "beyond positions: object type and pose" in caption(fill(TABLES["blocktower"], runs))
+    assert "Oracles" not in caption(fill(TABLES["blocktower"], pd.DataFrame([measured("mse", 0.3, "in")])))
 
 
 def test_the_interval_of_a_share_is_paired_over_twin_pairs() -> None:
@@ -74,8 +84,7 @@ def test_the_interval_of_a_share_is_paired_over_twin_pairs() -> None:
     filled = fill(TABLES["blocktower"], runs, errors_of)
     value = filled.values.set_index(["row", "column"]).loc[("3→3", "CoPhyNet")]
     assert 0.74 < value["share_low"] < 0.75 < value["share_high"] < 0.76
-    shares = filled.shares()
-    assert shares is not None
+    shares = shares_of(filled)
     assert shares.loc["3→3", "CoPhyNet"] == "75% [75%, 75%]"
     assert shares.loc["3→3", "NPE"] == "—"
 
@@ -86,8 +95,7 @@ def test_the_share_of_an_accuracy_grows_with_it() -> None:
     runs = pd.DataFrame([measured(metric, value, model) for model, value in models.items()]).assign(mse=0.1)
     errors = Errors(np.full(4, 0.1), np.arange(4) // 2, np.arange(4))  # intervals are of the MSE, not of an accuracy
     filled = fill(TABLES["stability"], runs, lambda run: errors)
-    shares = filled.shares()
-    assert shares is not None
+    shares = shares_of(filled)
     assert shares.loc["CoPhyNet", "3→3"] == "50%"
 
 
@@ -98,7 +106,7 @@ def test_oracles_alone_and_on_fewer_experiments_make_no_shares() -> None:
         measured(metric, value, f"oracle_{name}") for name, value in (("feedforward", 0.7), ("counterfactual", 0.9))
     ]
     for lines in (oracles, [*oracles, measured(metric, 0.8, "cophynet", num_test=4044)]):
-        assert fill(TABLES["stability"], pd.DataFrame(lines)).shares() is None
+        assert fill(TABLES["stability"], pd.DataFrame(lines)).shares().empty
 
 
 def test_seeds_are_averaged_and_a_failed_one_is_counted() -> None:
@@ -106,10 +114,10 @@ def test_seeds_are_averaged_and_a_failed_one_is_counted() -> None:
     failed = pd.DataFrame([run("cophynet", seed=3, error="boom"), run("npe", error="boom")])
     failed = failed.drop(columns=["num_train", "num_test", "epochs"])  # which a run has once it is done
     filled = fill(TABLES["blocktower"], pd.concat([runs, failed]))
-    assert filled.cells().loc["3→3", "CoPhyNet"] == "0.200 ± 0.100 [0.190, 0.220] (1 failed) / 0.294"
-    assert filled.cells().loc["3→3", "NPE"] == "failed / 0.331"
-    assert "seeds 0, 1, 2" in filled.caption
-    assert "2800 training and 400 test experiments; 40 epochs" in filled.caption
+    assert cells(filled).loc["3→3", "CoPhyNet"] == "0.200 ± 0.100 [0.190, 0.220] (1 failed) / 0.294"
+    assert cells(filled).loc["3→3", "NPE"] == "failed / 0.331"
+    assert "seeds 0, 1, 2" in caption(filled)
+    assert "2800 training and 400 test experiments; 40 epochs" in caption(filled)
 
 
 def test_a_cell_averages_no_runs_of_different_lengths_or_sizes() -> None:
@@ -120,39 +128,39 @@ def test_a_cell_averages_no_runs_of_different_lengths_or_sizes() -> None:
         measured("mse", 0.5, "copy_c", epochs=40, is_trained=False),
     ]
     filled = fill(TABLES["blocktower"], pd.DataFrame(runs))
-    assert filled.cells().loc["3→3", "CoPhyNet"] == "0.100 [0.090, 0.120] / 0.294"
-    assert "test experiments; 120 epochs; seeds 0." in filled.caption
+    assert cells(filled).loc["3→3", "CoPhyNet"] == "0.100 [0.090, 0.120] / 0.294"
+    assert "test experiments; 120 epochs; seeds 0." in caption(filled)
     copies = fill(TABLES["blocktower"], pd.DataFrame(runs[-1:]))
-    assert "400 test experiments; seeds 0." in copies.caption
+    assert "400 test experiments; seeds 0." in caption(copies)
 
 
 def test_a_caption_says_which_positions_were_tested() -> None:
     runs = pd.DataFrame([measured("mse", 0.1, "cophynet")])
-    assert "Tested on true positions." in fill(TABLES["blocktower"], runs).caption
+    assert "Tested on true positions." in caption(fill(TABLES["blocktower"], runs))
     estimated = runs.assign(positions="train_ground_truth_test_derendered")
-    assert "Tested on positions estimated" in fill(TABLES["blocktower_derendered"], estimated).caption
+    assert "Tested on positions estimated" in caption(fill(TABLES["blocktower_derendered"], estimated))
 
 
 def test_a_caption_has_the_numbers_of_controls_that_were_run() -> None:
     shown = [measured("mse", 0.3, "cophynet", split="3to3_unseen", epochs=80)]
     control = [measured("mse", 0.25, "cophynet", split="3to3_seen", seed=seed, epochs=80) for seed in (0, 1)]
     control += [measured("mse", 0.4, "copy_c", split="3to3_seen", epochs=80)]
-    words = "tested on combinations that it saw, in other geometries"
-    assert words not in fill(TABLES["blocktower"], pd.DataFrame(shown)).caption
+    words = "tested on combinations seen in training, in other geometries"
+    assert words not in caption(fill(TABLES["blocktower"], pd.DataFrame(shown)))
     filled = fill(TABLES["blocktower"], pd.DataFrame(shown + control))
     numbers = f"{words}: Copy C 0.400 [0.390, 0.420], CoPhyNet 0.250 [0.240, 0.270]."
-    assert filled.caption.endswith(numbers)
-    assert filled.cells().loc["3→3 †", "CoPhyNet"].startswith("0.300")
+    assert caption(filled).endswith(numbers)
+    assert cells(filled).loc["3→3 †", "CoPhyNet"].startswith("0.300")
 
 
 def test_estimated_positions_fill_tables_of_their_own_and_name_the_derenderer() -> None:
     estimated = {"positions": "train_ground_truth_test_derendered", "derenderer": "0123abcd"}
     runs = pd.DataFrame([measured("mse", 0.2, "cophynet"), measured("mse", 0.3, "cophynet", **estimated)])
-    assert fill(TABLES["blocktower"], runs).cells().loc["3→3", "CoPhyNet"].startswith("0.200")
+    assert cells(fill(TABLES["blocktower"], runs)).loc["3→3", "CoPhyNet"].startswith("0.200")
     filled = fill(TABLES["blocktower_derendered"], runs)
-    assert filled.cells().loc["3→3", "CoPhyNet"].startswith("0.300")
-    assert "de-renderer 0123abcd" in filled.caption
-    trained = fill(TABLES["training_positions"], runs).cells()
+    assert cells(filled).loc["3→3", "CoPhyNet"].startswith("0.300")
+    assert "de-renderer 0123abcd" in caption(filled)
+    trained = cells(fill(TABLES["training_positions"], runs))
     assert trained.loc["3→3", "CoPhyNet, trained on true positions"].startswith("0.300")
     assert trained.loc["3→3", "CoPhyNet, trained on estimated positions"].startswith("—")
 
@@ -162,22 +170,44 @@ def test_runs_of_a_smaller_size_do_not_mix_in() -> None:
         [measured("mse", 0.2, "cophynet"), measured("mse", 0.9, "cophynet", seed=1, size="tiny", num_train=28)]
     )
     filled = fill(TABLES["blocktower"], runs)
-    assert filled.cells().loc["3→3", "CoPhyNet"].startswith("0.200 [")
-    assert filled.caption.endswith("A table is of one size; runs of another are left out: tiny.")
+    assert cells(filled).loc["3→3", "CoPhyNet"].startswith("0.200 [")
+    assert caption(filled).endswith("A table is of one size; runs of another are left out: tiny.")
 
 
 def test_a_smaller_size_does_not_fill_what_the_larger_leaves_open() -> None:
     """Shares and the best would compare errors on different data."""
     tiny = [measured("mse", 0.9, name, size="tiny", num_train=28) for name in ("in", "oracle_feedforward")]
     failed = run("npe", size="tiny", error="boom")
-    cells = fill(TABLES["blocktower"], pd.DataFrame([measured("mse", 0.2, "cophynet"), *tiny, failed])).cells()
-    assert cells.loc["3→3", ["IN", "NPE"]].tolist() == ["— / 0.318", "— / 0.331"]
-    assert fill(TABLES["blocktower"], pd.DataFrame(tiny)).cells().loc["3→3", "IN"].startswith("0.900")
+    texts = cells(fill(TABLES["blocktower"], pd.DataFrame([measured("mse", 0.2, "cophynet"), *tiny, failed])))
+    assert texts.loc["3→3", ["IN", "NPE"]].tolist() == ["— / 0.318", "— / 0.331"]
+    assert cells(fill(TABLES["blocktower"], pd.DataFrame(tiny))).loc["3→3", "IN"].startswith("0.900")
 
 
 def test_failed_runs_alone_fill_no_number() -> None:
     runs = pd.DataFrame([run("npe", error="boom")]).drop(columns="num_train")
-    assert fill(TABLES["blocktower"], runs).cells().loc["3→3", ["IN", "NPE"]].tolist() == [
+    assert cells(fill(TABLES["blocktower"], runs)).loc["3→3", ["IN", "NPE"]].tolist() == [
         "— / 0.318",
         "failed / 0.331",
     ]
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_every_format_shows_the_number(table: str) -> None:
+    choice = next(names for _, _, names, _ in TABLES[table].cells() if "participants" not in names)
+    metric = choice.pop("metric")
+    runs = pd.DataFrame([measured(metric, 0.123, **{**choice, "seed": 0})])
+    filled = fill(TABLES[table], runs)
+    shown = f"{0.123 * TABLES[table].scale:.{TABLES[table].digits}f}"
+    for text in (markdown(filled), latex(filled)):
+        assert shown in text
+    assert not set("→†±—").intersection(latex(filled))
+
+
+def test_every_number_of_the_paper_has_a_cell_and_no_other_table() -> None:
+    for table in paper_tables():
+        assert len(table.paper) == len(table.rows)
+        assert all(len(row) == len(table.columns) for row in table.paper)
+    assert TABLES["stability"].paper[4] == [85.4, 77.3]
+    assert TABLES["blocktower"].paper[5][:6] == [0.480, 0.618, 0.342, 0.350, 0.301, 0.297]
+    assert TABLES["collision_derendered"].paper[2][5:] == [0.586, None, None]
+    assert TABLES["human_comparison_derendered"].paper[0] == [65.41, 25.51, 7.36, 32.76]

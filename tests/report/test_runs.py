@@ -1,0 +1,173 @@
+"""Runs as a table."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cophy.commands.report import ComposedData
+from cophy.errors import CophyError
+from cophy.report.predictions import read_stored_predictions
+from cophy.report.runs import comparable_seeds, largest_size, read_runs, summarize_runs
+from tests.report.lines import measured, run
+from tests.report.stored_runs import PLACE, content, leave
+
+
+def not_checked(scenario: str, size: str) -> None:
+    """Datasets are not checked."""
+
+
+def test_the_summary_tells_the_cost() -> None:
+    runs = pd.DataFrame([measured("mse", 0.2, "cophynet"), run("npe", error="boom")])
+    line = summarize_runs(runs).iloc[0]
+    assert (line["run"], line["training (s)"], line["mse"]) == (
+        "blocktower 3to3 cophynet full ground_truth small",
+        "100",
+        "0.200",
+    )
+    assert summarize_runs(runs).iloc[1]["seeds"] == "0 (1 failed)"
+    assert summarize_runs(pd.DataFrame()).empty
+
+
+def test_the_summary_averages_seeds_alone() -> None:
+    seeds = [measured("mse", value, "cophynet", seed=seed) for seed, value in enumerate((0.2, 0.3))]
+    longer = [measured("mse", 0.1, "cophynet", epochs=120)]
+    lines = summarize_runs(pd.DataFrame(seeds + longer)).set_index("epochs")
+    assert lines["mse"].to_dict() == {"40": "0.250 ± 0.071", "120": "0.100"}
+    assert lines["seeds"].to_dict() == {"40": "2", "120": "1"}
+
+
+def test_runs_that_differ_in_their_seed_alone_may_be_averaged() -> None:
+    seen = [
+        measured("mse", 0.2, "cophynet", seed=seed, derenderer=name) for seed, name in ((0, "b"), (1, "a"), (2, "a"))
+    ]
+    assert comparable_seeds(pd.DataFrame(seen))["seed"].tolist() == [1, 2]
+    both = pd.DataFrame([*seen, measured("mse", 0.1, "cophynet", seed=5, epochs=120, derenderer="b")])
+    assert comparable_seeds(both)["seed"].tolist() == [5]
+    sizes = pd.DataFrame(
+        [measured("mse", 0.2, "in", size=name, num_train=n) for name, n in (("paper", 900), ("12k", 400))]
+    )
+    assert largest_size(sizes)["size"].tolist() == ["paper"]
+
+
+def test_what_was_refused_before_it_began_does_not_count(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    for seed, begun in enumerate((True, False)):
+        directory = tmp_path / PLACE.with_name(f"seed{seed}")
+        directory.mkdir(parents=True)
+        names = run("cophynet", seed=seed) | {"variant": "", "error": "boom", "has_begun": begun}
+        (directory / "failure.json").write_text(json.dumps({**names, "directory": ""}))
+    assert read_runs(tmp_path, not_checked)["seed"].tolist() == [0]
+    assert "1 run is refused before the start." in caplog.text
+
+
+def test_only_runs_in_their_own_place_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    for directory in (PLACE, Path("demo") / PLACE, Path("blocktower/3to3/in/full/ground_truth/seed0")):
+        leave(tmp_path / directory, json.dumps(content()))
+    runs = read_runs(tmp_path, not_checked)
+    assert list(runs["directory"]) == [tmp_path / PLACE]
+    assert "are not where train.py puts them and are not read" in " ".join(caplog.text.split())
+    assert runs.iloc[0][["mse", "mse_low", "mse_high", "epochs", "metric_dims"]].tolist() == [0.2, 0.1, 0.3, 80, 3]
+
+
+def test_runs_with_other_settings_fill_no_table(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for variant in ("", "+size-tiny+max_epochs-1", "+size-tiny+hidden_dim-8"):
+        leave(tmp_path / PLACE.with_name(f"seed0{variant}"), json.dumps(content(variant=variant)))
+    assert sorted(read_runs(tmp_path, not_checked)["variant"]) == ["", "+size-tiny+max_epochs-1"]
+    assert "(hidden_dim-8): blocktower 3to3 cophynet." in " ".join(caplog.text.split())
+
+
+def test_metrics_json_with_all_facts_needs_no_configuration(tmp_path: Path) -> None:
+    leave(tmp_path / PLACE, json.dumps(content(metric_dims=2, max_epochs=20)), "unread: [")
+    assert read_runs(tmp_path, not_checked).iloc[0][["epochs", "metric_dims"]].tolist() == [20, 2]
+
+
+def test_faults_of_the_code_keep_their_traceback(tmp_path: Path) -> None:
+    leave(tmp_path / PLACE, json.dumps(content()))
+
+    def faulty(scenario: str, size: str) -> None:
+        raise AttributeError("a fault")
+
+    with pytest.raises(AttributeError, match="a fault"):
+        read_runs(tmp_path, faulty)
+
+
+def test_a_run_on_other_data_than_its_names_stand_for_fills_no_table(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for seed, dataset in enumerate(("3-x", "3-old")):
+        leave(tmp_path / PLACE.with_name(f"seed{seed}"), json.dumps(content(seed=seed, dataset_ids=[dataset])))
+    assert read_runs(tmp_path, lambda scenario, size: {"3-x"})["seed"].tolist() == [0]
+    assert "(dataset 3-old): blocktower 3to3 cophynet." in " ".join(caplog.text.split())
+
+
+def test_names_stand_for_the_data_that_are_generated_today() -> None:
+    data = ComposedData("generated", Path("data"))
+    ids = {data.dataset("blocktower", count, "tiny").id for count in (4, 3)}
+    assert ids <= set(data.dataset_ids("blocktower", "tiny") or ())
+    assert ComposedData("cophy", Path("data")).dataset_ids("blocktower", "cophy") is None
+    with pytest.raises(CophyError, match="nowhere"):
+        data.dataset_ids("blocktower", "nowhere")
+    with pytest.raises(CophyError, match="source=cophy"):
+        data.dataset_ids("blocktower", "cophy")
+
+
+INVALID = {
+    "no JSON": "{",
+    "a list": "[]",
+    "a text for a number": json.dumps(content(metrics={"mse": "0.2"})),
+    "NaN": json.dumps(content(metrics={"mse": math.nan})),
+    "no interval": json.dumps(content(intervals={})),
+    "half an interval": json.dumps(content(intervals={"mse": [0.1]})),
+    "no metrics": json.dumps(content(metrics=None)),
+    "a path for a name": json.dumps(content(model="../../cophynet")),
+}
+
+
+@pytest.mark.parametrize("metrics", INVALID.values(), ids=INVALID.keys())
+def test_an_invalid_run_is_named_and_skipped(tmp_path: Path, metrics: str, caplog: pytest.LogCaptureFixture) -> None:
+    leave(tmp_path / PLACE, metrics)
+    leave(tmp_path / PLACE.with_name("seed1"), json.dumps(content(seed=1)))
+    assert read_runs(tmp_path, not_checked)["seed"].tolist() == [1]
+    assert f"{PLACE}/metrics.json" in caplog.text
+
+
+@pytest.mark.parametrize("config", ["trainer: {}", ": : :"])
+def test_without_the_facts_that_the_report_needs_a_run_is_named(
+    tmp_path: Path, config: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    leave(tmp_path / PLACE, json.dumps(content()), config)
+    assert read_runs(tmp_path, not_checked).empty
+    assert "run the same command again" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"position": np.full((4, 5, 3, 3), np.nan, "f4")}, {"pair": np.zeros(3)}, {"position": np.array([print])}, None],
+    ids=["NaN", "shape", "pickled", "missing"],
+)
+def test_damaged_predictions_are_named_and_their_run_skipped(
+    tmp_path: Path, changes: dict[str, Any] | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    leave(tmp_path / PLACE, json.dumps(content()))
+    path = tmp_path / PLACE / "predictions.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    path.unlink()
+    if changes is not None:
+        np.savez_compressed(path, **(arrays | changes))
+    assert read_stored_predictions(read_runs(tmp_path, not_checked)) == {}
+    assert "predictions.npz is missing or damaged" in caplog.text
+
+
+def test_what_cannot_be_read_is_counted(tmp_path: Path) -> None:
+    assert read_runs(tmp_path, not_checked).attrs["skipped"] == 0
+    broken = tmp_path / "balls" / "4to4" / "in" / "full" / "ground_truth" / "seed0" / "metrics.json"
+    broken.parent.mkdir(parents=True)
+    broken.write_text("{}")
+    assert read_runs(tmp_path, not_checked).attrs["skipped"] == 1
