@@ -1,7 +1,6 @@
-"""Files of unknown origin: read whole or refused, never followed, executed or allocated for on their word."""
+"""Readers of files from elsewhere: they follow no links, execute nothing, and bound memory by the size of the file."""
 
 import io
-import math
 import os
 import stat
 from pathlib import Path
@@ -9,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-MAX_BYTES = 64 << 20  # ours: the largest file of either format that is read whole is below 1 MiB
+MAX_FILE_BYTES = 64 << 20  # ours: the largest file of either format that is read whole is below 1 MiB
 MP4_BRAND = b"ftyp"  # bytes 4 to 7 of every MP4 file
 
 
@@ -18,15 +17,15 @@ class BrokenFileError(Exception):
 
 
 def read_bytes(path: Path) -> bytes:
-    """All bytes of a regular file; links, devices, pipes and files beyond MAX_BYTES are refused."""
+    """Return the bytes of a regular file; links, devices, pipes and files beyond MAX_FILE_BYTES are refused."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
         with open(descriptor, "rb") as file:
-            about = os.fstat(descriptor)
-            if not stat.S_ISREG(about.st_mode):
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode):
                 raise BrokenFileError(f"{path} is not a regular file")
-            if about.st_size > MAX_BYTES:
-                raise BrokenFileError(f"{path} has {about.st_size} bytes, more than any file of its kind")
+            if status.st_size > MAX_FILE_BYTES:
+                raise BrokenFileError(f"{path} has {status.st_size} bytes, more than any file of its kind")
             return file.read()
     except OSError as error:
         what = "is a link" if path.is_symlink() else f"cannot be read ({error.strerror})"
@@ -34,7 +33,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """The text of a small file."""
+    """Return the text of a small file."""
     try:
         return read_bytes(path).decode()
     except UnicodeDecodeError as error:
@@ -42,29 +41,22 @@ def read_text(path: Path) -> str:
 
 
 def read_array(path: Path) -> np.ndarray:
-    """A .npy file of plain numbers as float64; its header must agree with its size before anything is made of it."""
-    content = read_bytes(path)
-    file = io.BytesIO(content)
+    """Return the numbers of a .npy file as float64; pickled objects are refused."""
+    content = io.BytesIO(read_bytes(path))
     try:
-        version = np.lib.format.read_magic(file)
-        header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-        shape, fortran_order, dtype = header(file)
-    except Exception as error:  # whatever a hostile header makes NumPy raise
-        raise BrokenFileError(f"{path} is not a .npy file ({' '.join(str(error).split())})") from error
-    if dtype.kind not in "fiu":
-        raise BrokenFileError(f"{path} holds {dtype}, not plain numbers: pickled objects are not read")
-    counts = all(type(length) is int and length >= 0 for length in shape)
-    if len(shape) > 3 or not counts or math.prod(shape) * dtype.itemsize != len(content) - file.tell():
-        raise BrokenFileError(f"{path} says {dtype} {shape} and holds {len(content) - file.tell()} bytes")
-    flat = np.frombuffer(content, dtype, offset=file.tell())
-    array = flat.reshape(shape, order="F" if fortran_order else "C").astype(np.float64)
+        array = np.lib.format.read_array(content, allow_pickle=False)  # touches no more memory than the file has bytes
+    except Exception as error:  # NumPy raises errors of many types on malformed headers
+        raise BrokenFileError(f"{path} is not a .npy file of numbers ({' '.join(str(error).split())})") from error
+    if array.dtype.kind not in "fiu":
+        raise BrokenFileError(f"{path} holds {array.dtype}, not numbers")
+    array = array.astype(np.float64)
     if not np.isfinite(array).all():
         raise BrokenFileError(f"{path} holds numbers that are not finite")
     return array
 
 
 def count_frames(path: Path) -> int:
-    """Frames of a clip as its container counts them; 0 where there is no clip."""
+    """Return the number of frames of a clip by its container; 0 where there is no clip."""
     if not os.path.lexists(path):
         return 0
     capture = open_clip(path)
@@ -75,7 +67,7 @@ def count_frames(path: Path) -> int:
 
 
 def open_clip(path: Path) -> cv2.VideoCapture:
-    """An MP4 file to decode; what only bears its name is refused, for a decoder would guess and follow references."""
+    """Open an MP4 file; other content is refused, because the decoder would guess the format and follow references."""
     if path.is_symlink() or not path.is_file():
         raise BrokenFileError(f"{path} is not a regular file")
     with open(path, "rb") as file:

@@ -17,8 +17,8 @@ from cophy.dataset.splits import SPLITS
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from tests.conftest import SCENARIOS, tiny_spec
-from tests.dataset.released.indexing import LISTS
-from tests.dataset.released.trees import CoPhyTree
+from tests.released.indexing import LISTS
+from tests.released.trees import CoPhyTree
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -10,19 +10,14 @@ from cophy.audit.checks import Check
 from cophy.audit.report import audit_generated, write_page
 from tests.audit.failing import failing
 
-# a pair of towers takes 900 simulations under other confounders
-SLOW_TOWERS = pytest.mark.parametrize(
-    "tiny", [pytest.param("blocktower", marks=pytest.mark.slow), "balls", "collision"], indirect=True
-)
 
-
-@SLOW_TOWERS
+@pytest.mark.slow  # tests/end_to_end/test_audit.py does the same for collisions; towers take 900 simulations per pair
 def test_a_correct_dataset_passes(tiny) -> None:
     spec, arrays = tiny
     assert not failing(audit_generated(arrays, spec, replayed_pairs=1))
 
 
-@pytest.mark.parametrize("tiny", [pytest.param("blocktower", marks=pytest.mark.slow), "collision"], indirect=True)
+@pytest.mark.slow
 def test_states_that_are_not_finite_fail_and_stop_no_check(tiny) -> None:
     spec, arrays = tiny
     changed = arrays["states"].copy()

@@ -23,6 +23,11 @@ def failing_of_first_pair(arrays: dict, spec) -> set[str]:
     return failing(check_resimulation({name: array[:2] for name, array in arrays.items()}, spec, 1))
 
 
+@pytest.mark.parametrize(
+    "tiny",
+    ["collision", *(pytest.param(name, marks=pytest.mark.slow) for name in ("balls", "blocktower"))],
+    indirect=True,
+)
 def test_sequences_that_the_simulator_does_not_reproduce_fail(tiny) -> None:
     """The CD of twins are exchanged; up to chance, a tenth may differ."""
     spec, arrays = tiny
@@ -46,7 +51,7 @@ def with_confounders_swapped(arrays: dict, one: int, other: int) -> dict:
     return arrays | swapped
 
 
-@pytest.mark.parametrize("other", [1, 5])
+@pytest.mark.parametrize("other", [1, pytest.param(5, marks=pytest.mark.slow)])
 def test_confounders_of_another_experiment_fail(tiny, other: int) -> None:
     """Confounders of the twin, or of an experiment that is not resimulated."""
     spec, arrays = tiny

@@ -12,7 +12,7 @@ import pytest
 from cophy.drawing import files
 from cophy.drawing.files import read_frames, write_picture
 from cophy.errors import CophyError
-from tests.dataset.released.trees import clip
+from tests.released.trees import clip
 
 
 def test_frames_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from cophy.errors import CophyError
 from tests.commands import run
 from tests.commands import train as train_on_generated
 from tests.conftest import settings
-from tests.dataset.released.indexing import make
-from tests.dataset.released.trees import CoPhyTree
+from tests.released.indexing import make
+from tests.released.trees import CoPhyTree
 
 IDS = [str(number) for number in range(40)]
 LISTS = {"train": IDS[:28], "val": IDS[28:36], "test": IDS[36:]}

@@ -1,8 +1,4 @@
-"""A generated dataset and its pictures, to a folder in the format of CoPhy_224.
-
-Lists of ids of an export: which experiments train, validate and test, for every kind of split that was released.
-The files of one exported experiment, as CoPhy_224 has them.
-"""
+"""Exports of a generated dataset and its images in the format of CoPhy_224, with a list of ids for every released split."""
 
 import io
 import json
@@ -32,31 +28,25 @@ from cophy.scenario.rendering import NO_OBJECT
 log = logging.getLogger(__name__)
 
 
-def exported_lists(arrays: dict[str, np.ndarray], task: CoPhyTask, num_objects: int) -> dict[str, np.ndarray]:
-    """Name of each list -> experiments.
-
-    Args:
-        arrays: of the dataset.
-        task: whose kinds of lists are wanted.
-        num_objects: in A of every experiment.
-    """
-    found = {}
+def _export_lists(arrays: dict[str, np.ndarray], task: CoPhyTask, num_objects: int) -> dict[str, np.ndarray]:
+    """Return the name of each list and its experiments, for a dataset whose A have this number of objects."""
+    lists = {}
     for kind in task.kinds:
-        trained, tested = _parts(kind, num_objects)
+        train, test = _parts(kind, num_objects)
         for split in SPLITS:
-            part = tested if split == "test" else trained
+            part = test if split == "test" else train
             rows = part.select_split(arrays, split)
-            found[task.list_of(split, num_objects, kind)] = np.flatnonzero(rows)
-    return found
+            lists[task.list_of(split, num_objects, kind)] = np.flatnonzero(rows)
+    return lists
 
 
-def as_text(rows: np.ndarray) -> bytes:
-    """The content of a list."""
+def _list_text(rows: np.ndarray) -> bytes:
+    """Return the content of a list."""
     return "".join(f"{row}\n" for row in rows.tolist()).encode()
 
 
 def _parts(kind: str, num_objects: int) -> tuple[Part, Part]:
-    """What is trained and what is tested on: `generalization` and `moving_*` test on what their training leaves out."""
+    """Return the parts that a kind of list trains and tests on: all but `normal` test on what training leaves out."""
     sphere, cylinder = (Part(num_objects, moving=shape) for shape in ("sphere", "cylinder"))
     seen, unseen = (Part(num_objects, configurations=which) for which in ("seen", "unseen"))
     everything = Part(num_objects)
@@ -68,15 +58,13 @@ def _parts(kind: str, num_objects: int) -> tuple[Part, Part]:
     }[kind]
 
 
-BOX_PX = 224  # boxes are in pixels of a picture of this size
-MIN_UPRIGHT = 0.7  # z component of the axis of a cylinder that stands; it is 0 where the cylinder lies
+BOX_PX = 224  # boxes are in pixels of an image of this size
+MIN_UPRIGHT = 0.7  # z component of the axis of an upright cylinder; 0 for one that lies down
 
 
 @dataclass(frozen=True)
-class Exported:
-    """One experiment. arrays: of its dataset; row: its place there. pictures: rgb, segmentation and boxes of AB and CD,
-    or None for states alone.
-    """
+class ExportedExperiment:
+    """One experiment: a row of its dataset's arrays, and rgb, segmentation and boxes of AB and CD (None: states only)."""
 
     scenario: Scenario
     arrays: dict[str, np.ndarray]
@@ -85,11 +73,11 @@ class Exported:
 
     @property
     def task(self) -> CoPhyTask:
-        """What the files of its task look like."""
+        """Description of the files of its task."""
         return TASKS[self.scenario.name]
 
 
-def write_experiment(directory: Path, experiment: Exported) -> None:
+def _write_experiment(directory: Path, experiment: ExportedExperiment) -> None:
     """Write all files of an experiment into its folder."""
     for sequence, name in enumerate(SEQUENCES):
         (directory / name).mkdir()
@@ -104,7 +92,7 @@ def write_experiment(directory: Path, experiment: Exported) -> None:
         (directory / "explanations.txt").write_text(_explanation(experiment))
 
 
-def _write_sequence(directory: Path, experiment: Exported, sequence: int) -> None:
+def _write_sequence(directory: Path, experiment: ExportedExperiment, sequence: int) -> None:
     clock, pictures = experiment.scenario.clock, experiment.pictures
     length = min(clock.num_frames, experiment.task.max_frames or clock.num_frames)
     states = experiment.arrays["states"][experiment.row, sequence, :: clock.states_per_frame][:length]
@@ -120,21 +108,21 @@ def _write_sequence(directory: Path, experiment: Exported, sequence: int) -> Non
 
 
 def _write_array(path: Path, array: np.ndarray) -> None:
-    """As np.save does, which says of a full disk only how many bytes it wrote."""
+    """Write a .npy file; on a full disk np.save itself raises an error without the reason."""
     file = io.BytesIO()
     np.save(file, array)
     path.write_bytes(file.getvalue())
 
 
 def _palette(scenario: Scenario) -> np.ndarray:
-    """(256, 3) uint8 colour of each slot; black where there is no object."""
+    """Return the colour of each slot, (256, 3) uint8; black where there is no object."""
     palette = np.zeros((NO_OBJECT + 1, 3), dtype=np.uint8)
     palette[: scenario.num_slots] = [ImageColor.getrgb(color) for color in scenario.colors.values()]
     return palette
 
 
 def _write_clip(path: Path, frames: np.ndarray, frames_per_second: int) -> None:
-    """(T, R, R, 3) uint8 RGB as MPEG-4, as the released clips are; lossy."""
+    """Write (T, R, R, 3) uint8 RGB as MPEG-4, like the released clips; lossy."""
     size = (frames.shape[2], frames.shape[1])
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), frames_per_second, size)  # type: ignore[attr-defined]
     if not writer.isOpened():
@@ -146,8 +134,8 @@ def _write_clip(path: Path, frames: np.ndarray, frames_per_second: int) -> None:
     check_space(path)
 
 
-def _colors(experiment: Exported, sequence: int) -> str:
-    """A line per object in the scenario's order, with its type where the task has several."""
+def _colors(experiment: ExportedExperiment, sequence: int) -> str:
+    """Return a line per object in the scenario's order, with its type where the task has several."""
     arrays, row, task = experiment.arrays, experiment.row, experiment.task
     names, order = list(experiment.scenario.colors), arrays["object_index"][row]
     present = sorted(np.flatnonzero(arrays["presence"][row, sequence]).tolist(), key=lambda slot: order[slot])
@@ -155,7 +143,7 @@ def _colors(experiment: Exported, sequence: int) -> str:
     return task.colors_header + "".join(f"{types[slot]}color={names[slot]}\n" for slot in present)
 
 
-def _type(experiment: Exported, slot: int) -> str:
+def _type(experiment: ExportedExperiment, slot: int) -> str:
     arrays, row = experiment.arrays, experiment.row
     if arrays["shape"][row, slot] == Shape.SPHERE:
         return "sphere"
@@ -163,7 +151,7 @@ def _type(experiment: Exported, slot: int) -> str:
     return "cylinder_up" if abs(1 - 2 * (x * x + y * y)) > MIN_UPRIGHT else "cylinder_down"
 
 
-def _explanation(experiment: Exported) -> str:
+def _explanation(experiment: ExportedExperiment) -> str:
     operation = do_operation_of(experiment.arrays, experiment.row, experiment.scenario)
     color = list(experiment.scenario.colors)[operation.slot]
     if isinstance(operation, Remove):
@@ -172,47 +160,52 @@ def _explanation(experiment: Exported) -> str:
     return f"the {color} object is displaced by x={x:.4f} y={y:.4f} z={z:.4f}\n"
 
 
-FORMAT_VERSION = 1  # raise it when what is exported changes
-MARKER = "export.json"  # whose experiments a folder holds
-NEEDED = ("rgb", "segmentation")
+EXPORT_VERSION = 1  # raise it when the exported files change
+MARKER = "export.json"  # names the dataset that a folder holds
+NEEDED_MODALITIES = ("rgb", "segmentation")
 
 
 def export(states: States, images: Images | None, root: Path) -> Path:
-    """Write a dataset; goes on where it was stopped, and overwrites nothing else.
+    """Write a generated dataset below `root`, the folder of all tasks; resume, and overwrite nothing else.
 
     Args:
-        states: Generated.
-        images: Its pictures, rendered; None for states without clips and boxes.
-        root: The folder that holds the exports of all tasks.
+        states: the dataset.
+        images: its rendered images; None for states without clips and boxes.
+        root: folder of the exports of all tasks.
 
     Returns:
-        The folder of its experiments, below `root`.
+        The folder of the experiments.
 
     Raises:
-        CophyError: pictures are missing, or `root` holds other data.
+        CophyError: images are missing, or `root` holds other data.
     """
-    if images is not None and not set(images.render.modalities) >= set(NEEDED):
+    if images is not None and not set(images.render.modalities) >= set(NEEDED_MODALITIES):
         raise CophyError("the format holds RGB and segmentation: export with 'render.modalities=[rgb,segmentation]'")
     arrays, spec = states.load(), states.spec
     task = TASKS[spec.scenario.name]
     folder = task.directory(root, spec.num_objects)
-    lists = exported_lists(arrays, task, spec.num_objects)
+    lists = _export_lists(arrays, task, spec.num_objects)
     _claim(folder, states, images, root / "splits", lists)
     with FileLock(folder / ".lock"):
         for leftover in folder.glob(".*.tmp"):
             shutil.rmtree(leftover)
         missing = [row for row in range(len(arrays["split"])) if not (folder / str(row)).exists()]
-        for row, pictures in ((row, None) for row in missing) if images is None else _pictures(images, missing):
-            _write_whole(folder / str(row), Exported(spec.scenario, arrays, row, pictures))
+        for row, pictures in ((row, None) for row in missing) if images is None else _read_images(images, missing):
+            _write_folder(folder / str(row), ExportedExperiment(spec.scenario, arrays, row, pictures))
     (root / "splits").mkdir(exist_ok=True)
     for name, rows in lists.items():
-        write_atomically(root / "splits" / name, as_text(rows))
-    log.info("%s: %d experiments; read back with\n    %s", folder, len(arrays["split"]), read_back(spec.scenario, root))
+        write_atomically(root / "splits" / name, _list_text(rows))
+    log.info(
+        "%s: %d experiments; train on them with\n    %s",
+        folder,
+        len(arrays["split"]),
+        _training_command(spec.scenario, root),
+    )
     return folder
 
 
-def read_back(scenario: Scenario, root: Path) -> str:
-    """The command that trains on an export: its confounders and camera are ours, not those of the released data."""
+def _training_command(scenario: Scenario, root: Path) -> str:
+    """Return the command that trains on an export: its confounders and camera are ours, not those of the released data."""
     names = ["mass", "friction", "restitution"]
     if TASKS[scenario.name].has_gravity:
         names += ["gravity_x", "gravity_y"]
@@ -224,26 +217,26 @@ def read_back(scenario: Scenario, root: Path) -> str:
 
 
 def _claim(folder: Path, states: States, images: Images | None, splits: Path, lists: dict[str, np.ndarray]) -> None:
-    """Make the folder ours, or refuse one that holds anything else."""
+    """Mark the folder as the export of this dataset, or refuse one that holds anything else."""
     pictures = None if images is None else images.name
-    content = {"format": FORMAT_VERSION, "dataset": states.id, "pictures": pictures}
+    content = {"format": EXPORT_VERSION, "dataset": states.id, "pictures": pictures}
     marker = folder / MARKER
     try:
         ours = json.loads(read_plain(marker)) == content
     except (OSError, ValueError, RecursionError):
         ours = not folder.exists() or not os.listdir(folder)
     if not ours:
-        wanted = f"{states.id} {'without pictures' if pictures is None else f'with {pictures}'}"
-        raise CophyError(f"{folder} holds other data than {wanted}: choose another root=")
+        expected = f"{states.id} {'without images' if pictures is None else f'with {pictures}'}"
+        raise CophyError(f"{folder} holds other data than {expected}: choose another root=")
     for name, rows in lists.items():
-        if (splits / name).exists() and read_plain(splits / name) != as_text(rows):
+        if (splits / name).exists() and read_plain(splits / name) != _list_text(rows):
             raise CophyError(f"{splits / name} is a list of other data: choose another root=")
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(marker, (json.dumps(content) + "\n").encode())
 
 
-def _pictures(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-    """(row, RGB, segmentation and boxes of AB and CD), a shard after the other."""
+def _read_images(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+    """Yield each row with RGB, segmentation and boxes of AB and CD, shard by shard."""
     source = images.or_more()
     source.finished_checksums()
     with progress_bar(f"export of {images.states.title}", len(rows)) as advance_to:
@@ -255,17 +248,17 @@ def _pictures(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[str, 
                 continue
             with source.explained(shard), source.opened(source.path(shard), shard) as stored:
                 for row in wanted:
-                    yield row, {name: stored[name][row - within.start] for name in (*NEEDED, "boxes")}
+                    yield row, {name: stored[name][row - within.start] for name in (*NEEDED_MODALITIES, "boxes")}
                     done += 1
                     advance_to(done)
 
 
-def _write_whole(path: Path, experiment: Exported) -> None:
-    """A folder that is there whole or not at all."""
+def _write_folder(path: Path, experiment: ExportedExperiment) -> None:
+    """Write the folder of an experiment as a whole or not at all."""
     temporary = path.with_name(f".{path.name}.tmp")
     try:
         temporary.mkdir()
-        write_experiment(temporary, experiment)
+        _write_experiment(temporary, experiment)
         os.replace(temporary, path)
-    finally:  # on failure it would keep a full disk full
+    finally:  # free the space on a full disk
         shutil.rmtree(temporary, ignore_errors=True)

@@ -1,8 +1,8 @@
-"""Filtered-CoPhy (CoPhy_112), the successor's dataset: 25 Hz, objects in the order of COLORS.txt, masses alone.
+"""The released formats.
 
-What the formats read alike: columns of states.npy, colours, and lengths of clips.
-What differs between the three tasks of CoPhy_224: facts about the released files, by the name of our scenario.
-CoPhy_224, the paper's released dataset, and what its released tower generator writes.
+`CoPhy` reads CoPhy_224, the paper's released dataset, and what its released tower generator writes. `FilteredCoPhy` reads
+CoPhy_112 of Filtered-CoPhy, the successor: 25 Hz, objects in the order of COLORS.txt, masses only. TASKS and FILTERED_TASKS
+hold facts about the released files, by the name of our scenario.
 """
 
 import ast
@@ -15,8 +15,7 @@ import numpy as np
 
 from cophy.dataset.splits import Split
 from cophy.errors import CophyError
-from cophy.released.protocol import ReleasedFormat
-from cophy.released.recording import BrokenExperimentError, Recording
+from cophy.released.recording import BrokenExperimentError, Recording, ReleasedFormat
 from cophy.scenario import Scenario, Shape
 from cophy.untrusted_files import BrokenFileError, count_frames, read_array, read_text
 
@@ -24,56 +23,31 @@ SEQUENCES = ("ab", "cd")  # folders of an experiment
 
 
 def read_states(directory: Path, scenario: Scenario, frame_step: int) -> tuple[np.ndarray, np.ndarray]:
-    """States of AB and of CD at the scenario's frames, as columns of states.npy.
-
-    Args:
-        directory: of the experiment.
-        scenario: whose clock says how many frames there are.
-        frame_step: states per frame.
-
-    Returns:
-        Two arrays (T, column, 13).
+    """Read states of AB and of CD at the scenario's frames, each (T, column, 13), as columns of states.npy.
 
     Raises:
         BrokenExperimentError: a file has another shape.
     """
-    ab, cd = (_sampled(read_array(directory / name / "states.npy"), scenario, frame_step) for name in SEQUENCES)
+    ab, cd = (_sample(read_array(directory / name / "states.npy"), scenario, frame_step) for name in SEQUENCES)
     return ab, cd
 
 
-def in_slots(columns: np.ndarray, slots: list[int], num_slots: int) -> np.ndarray:
-    """Move columns to the slots of their objects.
-
-    Args:
-        columns: (T, column, 13).
-        slots: of each column.
-        num_slots: of the scenario.
-
-    Returns:
-        (T, slot, 13); zero where there is no object.
-    """
+def move_to_slots(columns: np.ndarray, slots: list[int], num_slots: int) -> np.ndarray:
+    """Move columns (T, column, 13) to the slots of their objects: (T, slot, 13), zero where there is no object."""
     states = np.zeros((len(columns), num_slots, 13))
     states[:, slots[: columns.shape[1]]] = columns
     return states
 
 
 def slot_of(color: str, scenario: Scenario) -> int:
-    """The slot of a colour."""
+    """Return the slot of a colour."""
     if color not in scenario.colors:
         raise BrokenExperimentError(f"colour {color[:20]!r} is not among {', '.join(scenario.colors)}")
     return list(scenario.colors).index(color)
 
 
 def clip_lengths(directory: Path, scenario: Scenario, frame_step: int) -> tuple[int, int]:
-    """Frames of the RGB clips of AB and of CD.
-
-    Args:
-        directory: of the experiment.
-        scenario: whose clock says how many frames there are.
-        frame_step: frames of the clip per frame.
-
-    Returns:
-        The lengths; 0 where there is no clip.
+    """Return the number of frames of the RGB clips of AB and of CD, 0 where there is no clip.
 
     Raises:
         BrokenExperimentError: a clip has another length.
@@ -86,8 +60,8 @@ def clip_lengths(directory: Path, scenario: Scenario, frame_step: int) -> tuple[
     return counts[0], counts[1]
 
 
-def _sampled(states: np.ndarray, scenario: Scenario, frame_step: int) -> np.ndarray:
-    """(T · frame_step, column, 13) -> (T, column, 13), the states that the scenario's frames show."""
+def _sample(states: np.ndarray, scenario: Scenario, frame_step: int) -> np.ndarray:
+    """Return the states at the scenario's frames: (T · frame_step, column, 13) -> (T, column, 13)."""
     length = scenario.clock.num_frames * frame_step
     if states.ndim != 3 or states.shape[2] != 13:
         raise BrokenExperimentError(f"states.npy has shape {states.shape}, not (time, object, 13)")
@@ -98,14 +72,19 @@ def _sampled(states: np.ndarray, scenario: Scenario, frame_step: int) -> np.ndar
 
 @dataclass(frozen=True)
 class CoPhyTask:
-    """The files of one task.
+    """The files of one task of CoPhy_224.
 
-    folder: of the task. has_folder_per_count: whether experiments with one number of objects have a folder of their own.
-    list_name: of a list of ids; count is the number of objects, kind one of `kinds` (see `kind_of`).
-    max_frames: longest sequence that its loader knows, None for any. confounders: columns of confounders.npy that are
-    released. has_gravity: whether gravity.txt holds a confounder; else explanations.txt tells the do-operation.
-    colors_header: first line of colors.txt. shape: of all objects; None where colors.txt says it of each.
-    place: from states (slot, 13) in the first frame of AB to a key (slot,) that sorts the objects into their order.
+    Attributes:
+        folder: folder of the task.
+        has_folder_per_count: whether each number of objects has a folder of its own.
+        list_name: name of a list of ids; count is the number of objects, kind one of `kinds` (see `kind_of`).
+        kinds: kinds of lists that were released.
+        max_frames: longest sequence that the released loader reads, None for any.
+        confounders: columns of confounders.npy.
+        has_gravity: whether gravity.txt holds a confounder; otherwise explanations.txt describes the do-operation.
+        colors_header: first line of colors.txt.
+        shape: shape of all objects; None where colors.txt names the shape of each.
+        place: maps states (slot, 13) in the first frame of AB to a key (slot,) that sorts the objects into their order.
     """
 
     folder: str
@@ -120,26 +99,20 @@ class CoPhyTask:
     place: Callable[[np.ndarray], np.ndarray]
 
     def directory(self, root: Path, num_objects: int) -> Path:
-        """The folder whose subfolders are the experiments."""
+        """Return the folder whose subfolders are the experiments."""
         folder = root / self.folder
         return folder / str(num_objects) if self.has_folder_per_count else folder
 
     def list_of(self, part: str, num_objects: int, kind: str) -> str:
-        """Name of a list of ids.
-
-        Args:
-            part: train, val or test.
-            num_objects: in A.
-            kind: see `kind_of`.
-        """
+        """Return the name of a list of ids. part: train, val or test; kind: see `kind_of`."""
         return self.list_name.format(folder=self.folder, part=part, count=num_objects, kind=kind)
 
 
 def kind_of(split: Split) -> str:
-    """Which of the released lists a split is: moving_sphere are those that are trained on moving spheres.
+    """Return the kind of released lists that a split uses: moving_sphere lists train on moving spheres.
 
     Raises:
-        CophyError: it is none of them.
+        CophyError: there are no such lists.
     """
     if split.test.configurations == "seen":
         raise CophyError(f"split={split.name}: CoPhy_224 has no test list of seen confounder configurations")
@@ -200,16 +173,16 @@ TASKS = {
 }
 
 
-SHAPES = {"sphere": Shape.SPHERE, "cylinder_up": Shape.CYLINDER, "cylinder_down": Shape.CYLINDER}
+SHAPES_BY_TYPE = {"sphere": Shape.SPHERE, "cylinder_up": Shape.CYLINDER, "cylinder_down": Shape.CYLINDER}
 COLOR = re.compile(r"(?:type=(\w+)\s+)?color=(\w+)")
 GRAVITY = re.compile(r"gravity_x=(\S+)\s+gravity_y=(\S+)")
 
 
 class CoPhy:
-    """5 Hz, states by colour slot.
+    """CoPhy_224: 5 Hz, states by colour slot.
 
-    The released tower generator writes states from bottom to top, and no colors.txt. Then it is unknown which mass belongs
-    to which block. Its gravity.txt holds frictions. Confounders of blocks and gravity are therefore NaN.
+    The released tower generator writes states from bottom to top, and no colors.txt, so that it is unknown which mass belongs
+    to which block; its gravity.txt holds frictions. Confounders of blocks and gravity are then NaN.
     """
 
     name = "cophy"
@@ -225,13 +198,13 @@ class CoPhy:
     def read(self, directory: Path, scenario: Scenario) -> Recording:
         ab, cd = read_states(directory, scenario, self.frame_step)
         types = _types_by_slot(directory / "ab" / "colors.txt", scenario)
-        values = _confounders(directory / "confounders.npy", scenario)
+        values = _read_confounders(directory / "confounders.npy", scenario)
         padded = _is_padded(ab, list(types), scenario.num_slots)
         if cd.shape[1] > ab.shape[1] or (padded and cd.shape[1] != ab.shape[1]):
             raise BrokenExperimentError(f"states.npy of AB have {ab.shape[1]} objects, of CD {cd.shape[1]}")
         slots = list(range(scenario.num_slots)) if padded else _slots(ab, list(types), values)
-        left = slots if padded else _slots_left(directory / "cd" / "colors.txt", slots, cd.shape[1], scenario)
-        states = np.stack([in_slots(*each, scenario.num_slots) for each in ((ab, slots), (cd, left))])
+        remaining = slots if padded else _remaining_slots(directory / "cd" / "colors.txt", slots, cd.shape[1], scenario)
+        states = np.stack([move_to_slots(*each, scenario.num_slots) for each in ((ab, slots), (cd, remaining))])
         known = bool(types) or ab.shape[1] > len(np.flatnonzero(ab[0].any(axis=-1)))
         if not known:
             values = np.full_like(values, np.nan)
@@ -242,26 +215,26 @@ class CoPhy:
             mass=values[:, 0],
             friction=values[:, 1],
             restitution=values[:, 2],
-            gravity_xy=_gravity_xy(directory / "gravity.txt", scenario, trusted=bool(types)),
+            gravity_xy=_read_gravity(directory / "gravity.txt", scenario, trusted=bool(types)),
             clip_frames=clip_lengths(directory, scenario, self.frame_step),
         )
 
 
 def _types_by_slot(path: Path, scenario: Scenario) -> dict[int, str]:
-    """Slot -> type (or "") in the order of colors.txt, towers from bottom to top; empty where there is no such file."""
+    """Return slot -> type (or "") in the order of colors.txt, towers from bottom to top; empty where there is no file."""
     if not path.exists() and not path.is_symlink():
         return {}
-    found = [match for line in read_text(path).splitlines() if (match := COLOR.search(line))]
-    return {slot_of(match[2], scenario): match[1] or "" for match in found}
+    matches = [match for line in read_text(path).splitlines() if (match := COLOR.search(line))]
+    return {slot_of(match[2], scenario): match[1] or "" for match in matches}
 
 
 def _is_padded(ab: np.ndarray, slots: list[int], num_slots: int) -> bool:
-    """Whether states.npy has one column per slot, empty slots included. Otherwise it has one per object."""
+    """Return whether states.npy has one column per slot, empty slots included. Otherwise it has one per object."""
     return ab.shape[1] == num_slots and not _stacked_by_column(ab, slots)
 
 
 def _stacked_by_column(ab: np.ndarray, slots: list[int]) -> bool:
-    """Whether a file with one column per slot lists the blocks from bottom to top instead of by slot.
+    """Return whether a file with one column per slot lists the blocks from bottom to top instead of by slot.
 
     A tower may fit both readings.
     """
@@ -272,18 +245,15 @@ def _stacked_by_column(ab: np.ndarray, slots: list[int]) -> bool:
 
 
 def _slots(ab: np.ndarray, listed: list[int], values: np.ndarray) -> list[int]:
-    """The slot of each column, as colors.txt lists them.
-
-    Without colors.txt: the slots that have a mass, in an order that is unknown.
-    """
+    """Return the slot of each column, as listed in colors.txt; without it, the slots that have a mass, in unknown order."""
     slots, source = (listed, "colors.txt") if listed else (np.flatnonzero(values[:, 0] > 0).tolist(), "confounders.npy")
     if len(slots) != ab.shape[1]:
         raise BrokenExperimentError(f"states.npy has {ab.shape[1]} objects, {source} {len(slots)}")
     return slots
 
 
-def _slots_left(path: Path, slots: list[int], num_columns: int, scenario: Scenario) -> list[int]:
-    """The slot of each column of CD: as its colors.txt lists them, or else, where the top block was removed, those below."""
+def _remaining_slots(path: Path, slots: list[int], num_columns: int, scenario: Scenario) -> list[int]:
+    """Return the slot of each column of CD, as listed in its colors.txt; otherwise the top block was removed."""
     listed = list(_types_by_slot(path, scenario))
     if len(listed) != num_columns:
         return slots
@@ -292,8 +262,8 @@ def _slots_left(path: Path, slots: list[int], num_columns: int, scenario: Scenar
     return listed
 
 
-def _confounders(path: Path, scenario: Scenario) -> np.ndarray:
-    """(slot, 3) mass, friction, restitution; what the file leaves out is the scenario's constant."""
+def _read_confounders(path: Path, scenario: Scenario) -> np.ndarray:
+    """Return mass, friction, restitution, (slot, 3); a missing restitution is the scenario's constant."""
     values = read_array(path)
     if values.ndim != 2 or len(values) != scenario.num_slots or values.shape[1] not in (2, 3):
         raise BrokenExperimentError(f"confounders.npy has shape {values.shape}, not ({scenario.num_slots}, 2 or 3)")
@@ -302,12 +272,8 @@ def _confounders(path: Path, scenario: Scenario) -> np.ndarray:
     return np.column_stack([values, np.full(len(values), scenario.confounders.restitution[0])])
 
 
-def _gravity_xy(path: Path, scenario: Scenario, *, trusted: bool) -> np.ndarray:
-    """Horizontal gravity, m/s².
-
-    It is read from gravity.txt if the task has it as a confounder (NaN if the file is missing or not trusted). Otherwise
-    it is the scenario's constant.
-    """
+def _read_gravity(path: Path, scenario: Scenario, *, trusted: bool) -> np.ndarray:
+    """Return horizontal gravity, m/s²: from gravity.txt where it is a confounder (NaN if missing or not trusted)."""
     if not TASKS[scenario.name].has_gravity:
         return np.array([scenario.confounders.gravity_x[0], scenario.confounders.gravity_y[0]], dtype=float)
     if not trusted or not path.exists():
@@ -323,30 +289,33 @@ def _shapes(types: dict[int, str], scenario: Scenario) -> np.ndarray:
     shape = TASKS[scenario.name].shape
     if shape is not None:
         return np.full(scenario.num_slots, shape)
-    unknown = [kind for kind in types.values() if kind not in SHAPES]
+    unknown = [kind for kind in types.values() if kind not in SHAPES_BY_TYPE]
     if unknown or not types:
-        raise BrokenExperimentError(f"ab/colors.txt does not say type={'|'.join(SHAPES)} of each object")
+        raise BrokenExperimentError(f"ab/colors.txt does not name type={'|'.join(SHAPES_BY_TYPE)} of each object")
     shapes = np.zeros(scenario.num_slots, dtype=int)
-    shapes[list(types)] = [SHAPES[kind] for kind in types.values()]
+    shapes[list(types)] = [SHAPES_BY_TYPE[kind] for kind in types.values()]
     return shapes
 
 
 def _order(initial: np.ndarray, scenario: Scenario) -> np.ndarray:
-    """(slot,) place of each object of A in the scenario's order."""
+    """Return the place of each object of A in the scenario's order, (slot,)."""
     key = np.where(initial.any(axis=-1), TASKS[scenario.name].place(initial), np.inf)
     return np.argsort(np.argsort(key, kind="stable"))
 
 
-MAX_CHARACTERS = 1000  # of COLORS.txt
-ENDINGS = (".txt", "")  # of lists of ids
+MAX_COLORS_CHARACTERS = 1000  # length of COLORS.txt
+ENDINGS = (".txt", "")  # endings of lists of ids
 
 
 @dataclass(frozen=True)
 class FilteredTask:
-    """The files of one task.
+    """The files of one task of Filtered-CoPhy.
 
-    folder: of the task. list_names: of a list of ids, any of them; count is the number of objects. shapes: of the objects
-    in the order of COLORS.txt, or one for all. moving_first: whether the moving object comes first in our order.
+    Attributes:
+        folder: folder of the task.
+        list_names: names that a list of ids may have; count is the number of objects.
+        shapes: shapes of the objects in the order of COLORS.txt, or one for all.
+        moving_first: whether the moving object comes first in our order.
     """
 
     folder: str
@@ -365,7 +334,7 @@ FILTERED_TASKS = {
 
 
 class FilteredCoPhy:
-    """Collision: the first object is the cylinder, the second the ball."""
+    """CoPhy_112: 25 Hz, objects in the order of COLORS.txt. In collisions the first is the cylinder, the second the ball."""
 
     name = "filtered_cophy"
     frame_step = 5  # 25 Hz -> 5 Hz
@@ -382,7 +351,7 @@ class FilteredCoPhy:
 
     def read(self, directory: Path, scenario: Scenario) -> Recording:
         task, grid = FILTERED_TASKS[scenario.name], scenario.confounders
-        slots = _colors(directory / "COLORS.txt", scenario)
+        slots = _read_colors(directory / "COLORS.txt", scenario)
         ab, cd = read_states(directory, scenario, self.frame_step)
         if {ab.shape[1], cd.shape[1]} != {len(slots)}:
             raise BrokenExperimentError(
@@ -394,7 +363,7 @@ class FilteredCoPhy:
         mass, order, shape = (np.zeros(scenario.num_slots) for _ in range(3))
         mass[slots], order[slots] = masses, np.arange(len(slots))
         shape[slots] = _filtered_shapes(len(slots), task)
-        states = np.stack([in_slots(columns, slots, scenario.num_slots) for columns in (ab, cd)])
+        states = np.stack([move_to_slots(columns, slots, scenario.num_slots) for columns in (ab, cd)])
         if task.moving_first:
             order = np.where(np.linalg.norm(states[0, 0, :, 7:10], axis=-1) > 0, 0.0, 1.0)
         return Recording(
@@ -409,11 +378,11 @@ class FilteredCoPhy:
         )
 
 
-def _colors(path: Path, scenario: Scenario) -> list[int]:
-    """Slot of each object: the file is a Python list of names, read as a literal."""
+def _read_colors(path: Path, scenario: Scenario) -> list[int]:
+    """Return the slot of each object: the file is a Python list of names, read as a literal."""
     text = read_text(path)
     try:
-        names = ast.literal_eval(text) if len(text) <= MAX_CHARACTERS else None
+        names = ast.literal_eval(text) if len(text) <= MAX_COLORS_CHARACTERS else None
     except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError) as error:
         raise BrokenFileError(f"{path} is not a list of colours") from error
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):

@@ -1,119 +1,42 @@
-"""The index of a dataset that lies elsewhere: its states, confounders and presence, gathered in one pass into shards.
-
-Which indexed experiments count, and what of them is believed.
-"""
+"""The index of a released dataset: states, confounders and presence, read once into shards; clips are decoded when needed."""
 
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
+import cv2
 import numpy as np
 
 from cophy.atomic_files import write_atomically
-from cophy.dataset.experiment_set import ALL, ExperimentSet, NeededFrames, OracleSettings
+from cophy.dataset import generation
+from cophy.dataset.experiment_set import ALL, Clip, ExperimentSet, NeededFrames, OracleSettings, Pictures, Reader
 from cophy.dataset.features import Arrays
 from cophy.dataset.fields import scene_fields
 from cophy.dataset.shards import Field, Fields, empty_arrays, encode
 from cophy.dataset.splits import SPLITS, Split
 from cophy.errors import CophyError
-from cophy.released.clips import Clips, ReleasedSpec, listing
-from cophy.released.protocol import UNLISTED, Lists, ReleasedFormat, read_lists
-from cophy.released.recording import BrokenExperimentError, to_row
+from cophy.released.formats import SEQUENCES
+from cophy.released.recording import BrokenExperimentError, ReleasedFormat, to_row
+from cophy.released.spec import UNLISTED, Lists, ReleasedSpec, list_experiments, read_lists
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import RenderSettings
-from cophy.untrusted_files import BrokenFileError
+from cophy.untrusted_files import BrokenFileError, open_clip
 
 log = logging.getLogger(__name__)
 
-EMPTY = "an empty folder"
-BROKEN = "broken.txt"
-
-
-def report_problems(problems: list[str], spec: ReleasedSpec, directory: Path) -> None:
-    """Say how many experiments are broken, and list them beside the index.
-
-    Args:
-        problems: what is wrong with each experiment, "" where nothing is.
-        spec: of the experiments.
-        directory: of the index.
-
-    Raises:
-        CophyError: none is whole.
-    """
-    named = zip(spec.ids, problems, strict=True)
-    broken = [(name, problem) for name, problem in named if problem not in ("", EMPTY)]
-    empty = problems.count(EMPTY)
-    if empty:
-        log.info("%s: %d empty folders are passed over", spec.directory, empty)
-    if not broken:
-        return
-    text = "".join(f"{name}: {problem}\n" for name, problem in broken)
-    write_atomically(directory / BROKEN, text.encode())
-    first = f"{broken[0][0]}: {broken[0][1]}"
-    found = f"{len(broken)} of {len(problems) - empty} experiments are broken, the first is {first}"
-    if len(broken) + empty == len(problems):
-        raise CophyError(f"{spec.directory}: {found}")
-    log.warning("%s: %s; all are listed in %s", spec.directory, found, directory / BROKEN)
-
-
-def without_doubtful_gravity(arrays: Arrays, spec: ReleasedSpec) -> Arrays:
-    """The arrays; where some gravity.txt does not hold gravity, none is believed."""
-    doubtful = np.isnan(arrays["gravity"]).any(axis=1)
-    if doubtful.any():
-        log.warning(
-            "%s: %d of %d experiments come without a gravity on the grid (the released generator writes two frictions "
-            "into gravity.txt): gravity counts as unknown in all of them",
-            *(spec.directory, doubtful.sum(), doubtful.size),
-        )
-        arrays["gravity"][:, :2] = np.nan
-    return arrays
-
-
-def listed(arrays: Arrays, spec: ReleasedSpec, lists: Lists) -> Arrays:
-    """The listed experiments, with `split` and `seen`.
-
-    Args:
-        arrays: of all whole experiments; `experiment` says which of the spec they are.
-        spec: of the experiments.
-        lists: of ids.
-    """
-    ids = [spec.ids[index] for index in arrays["experiment"]]
-    place = lists.split_of(ids)
-    if missing := lists.missing(ids):
-        log.warning("%s: %d listed experiments are broken or not there", spec.directory, missing)
-    rows = place != UNLISTED
-    arrays = {name: array[rows] for name, array in arrays.items()} | {"split": place[rows]}
-    return arrays | {"seen": arrays["split"] != SPLITS.index("test")}
-
-
-def check_moving_shapes(arrays: Arrays, split: Split, lists: Lists) -> None:
-    """Refuse lists of the splits by the moving object's shape that contradict the data.
-
-    Args:
-        arrays: of the listed experiments.
-        split: whose parts say what moves.
-        lists: of ids.
-
-    Raises:
-        CophyError: a list names experiments in which another shape moves.
-    """
-    for number, (name, path) in enumerate(zip(SPLITS, lists.paths, strict=True)):
-        part = split.test if name == "test" else split.train
-        wrong = ((arrays["split"] == number) & ~part.select(arrays)).sum()
-        if wrong:
-            raise CophyError(f"{path}: in {wrong} of the listed experiments the moving object is no {part.moving}")
-
-
+EMPTY_FOLDER = "an empty folder"
+BROKEN_LIST = "broken.txt"  # next to the index
 MAX_PROBLEM_BYTES = 300
 
 
 class ReleasedStates(ExperimentSet):
     """Experiments that someone else released.
 
-    Its arrays lack what only our search knows (cells, configurations). `twin` is the experiment itself, `experiment` its
-    index in the spec, `clip` says whether AB and CD have pictures.
+    The arrays lack what only our search knows (cells, configurations). `twin` is the experiment itself, `experiment` its
+    index in the spec, `clip` whether AB and CD have clips.
     """
 
     spec: ReleasedSpec
@@ -134,7 +57,7 @@ class ReleasedStates(ExperimentSet):
         names = [released_format.list_names(scenario, num_objects, split, part) for part in SPLITS]
         self.lists = read_lists(folders, names)
         directory = released_format.directory(root, scenario, num_objects)
-        spec = ReleasedSpec(scenario, num_objects, released_format, directory, listing(directory))
+        spec = ReleasedSpec(scenario, num_objects, released_format, directory, list_experiments(directory))
         super().__init__(
             spec,
             data_dir / scenario.name / spec.id,
@@ -156,8 +79,8 @@ class ReleasedStates(ExperimentSet):
         lists = ", ".join(map(str, self.lists.paths))
         return f"its lists of ids are {lists}; what could not be read is named in {self.directory}"
 
-    def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> Clips:
-        return Clips(self, self.spec)
+    def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> "ReleasedClips":
+        return ReleasedClips(self, self.spec)
 
     def forecasts(self, settings: OracleSettings) -> NoReturn:
         raise CophyError("oracles simulate generated data: released data lack what a simulation starts from")
@@ -168,18 +91,26 @@ class ReleasedStates(ExperimentSet):
         return self.id in trained_on
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
-        """Read the experiments of a shard; a broken one leaves zeros, and what is wrong with it."""
+        """Read the experiments of a shard; a broken one is stored as zeros and a description of the problem."""
         fields = self.fields(shard)
         arrays = empty_arrays(fields)
         for row, index in enumerate(self.spec.experiments_of_shard(shard)):
             try:
-                for name, value in self._experiment(self.spec.directory / self.spec.ids[index]).items():
+                for name, value in self._read_experiment(self.spec.directory / self.spec.ids[index]).items():
                     arrays[name][row] = value
             except (BrokenFileError, BrokenExperimentError) as error:
                 arrays["problem"][row] = str(error).encode()[:MAX_PROBLEM_BYTES]
             advance(1)
         path.write_bytes(encode(arrays, fields, self.attributes(shard)))
         return {}
+
+    def _read_experiment(self, directory: Path) -> dict[str, Any]:
+        if any((directory / part).is_symlink() for part in SEQUENCES):
+            raise BrokenFileError(f"{directory} holds links in the place of ab or cd")
+        if not os.listdir(directory):
+            raise BrokenExperimentError(EMPTY_FOLDER)
+        recording = self.spec.released_format.read(directory, self.spec.scenario)
+        return to_row(recording, self.spec.scenario, self.spec.num_objects)
 
     def fields(self, shard: int) -> Fields:
         scenario, count = self.spec.scenario, len(self.spec.experiments_of_shard(shard))
@@ -192,27 +123,152 @@ class ReleasedStates(ExperimentSet):
         }
 
     def description(self) -> dict[str, Any]:
-        """Where the data lie, and as what they were read."""
+        """Return where the data are, and how they were read."""
         return {"id": self.spec.id, **self.spec.reading()}
 
     def load(self, reduced: Callable[[Arrays], Arrays] = lambda arrays: arrays) -> Arrays:
-        """The arrays of all whole experiments that the lists name, by id; what is broken is reported."""
+        """Return the arrays of all complete experiments in the lists, by id, and report broken ones."""
         arrays = super().load(reduced)
         problems = [problem.decode(errors="replace") for problem in arrays.pop("problem").tolist()]
-        report_problems(problems, self.spec, self.directory)
-        whole = np.array([not problem for problem in problems])
+        _report_problems(problems, self.spec, self.directory)
+        complete = np.array([not problem for problem in problems])
         arrays["experiment"] = np.arange(self.spec.num_experiments)
-        arrays = {name: array[whole] for name, array in arrays.items()}
+        arrays = {name: array[complete] for name, array in arrays.items()}
         arrays["twin"] = np.arange(len(arrays["experiment"]))
-        arrays = listed(without_doubtful_gravity(arrays, self.spec), self.spec, self.lists)
+        arrays = _select_listed(_without_doubtful_gravity(arrays, self.spec), self.spec, self.lists)
         if self.split.train.moving is not None and self.spec.released_format.lists_by_shape:
-            check_moving_shapes(arrays, self.split, self.lists)
+            _check_moving_shapes(arrays, self.split, self.lists)
         return arrays
 
-    def _experiment(self, directory: Path) -> dict[str, Any]:
-        if any((directory / part).is_symlink() for part in ("ab", "cd")):
-            raise BrokenFileError(f"{directory} holds links in the place of ab or cd")
-        if not os.listdir(directory):
-            raise BrokenExperimentError(EMPTY)
-        recording = self.spec.released_format.read(directory, self.spec.scenario)
-        return to_row(recording, self.spec.scenario, self.spec.num_objects)
+
+def _report_problems(problems: list[str], spec: ReleasedSpec, directory: Path) -> None:
+    """Log how many experiments are broken, and list them next to the index.
+
+    Args:
+        problems: the problem of each experiment, "" where there is none.
+        spec: description of the experiments.
+        directory: directory of the index.
+
+    Raises:
+        CophyError: no experiment is complete.
+    """
+    named = zip(spec.ids, problems, strict=True)
+    broken = [(name, problem) for name, problem in named if problem not in ("", EMPTY_FOLDER)]
+    empty = problems.count(EMPTY_FOLDER)
+    if empty:
+        log.info("%s: %d empty folders are skipped", spec.directory, empty)
+    if not broken:
+        return
+    text = "".join(f"{name}: {problem}\n" for name, problem in broken)
+    write_atomically(directory / BROKEN_LIST, text.encode())
+    first = f"{broken[0][0]}: {broken[0][1]}"
+    message = f"{len(broken)} of {len(problems) - empty} experiments are broken, the first is {first}"
+    if len(broken) + empty == len(problems):
+        raise CophyError(f"{spec.directory}: {message}")
+    log.warning("%s: %s; all are listed in %s", spec.directory, message, directory / BROKEN_LIST)
+
+
+def _without_doubtful_gravity(arrays: Arrays, spec: ReleasedSpec) -> Arrays:
+    """Mark gravity as unknown in all experiments if some gravity.txt does not hold gravity."""
+    doubtful = np.isnan(arrays["gravity"]).any(axis=1)
+    if doubtful.any():
+        log.warning(
+            "%s: %d of %d experiments come without a gravity on the grid (the released generator writes two frictions "
+            "into gravity.txt): gravity counts as unknown in all of them",
+            *(spec.directory, doubtful.sum(), doubtful.size),
+        )
+        arrays["gravity"][:, :2] = np.nan
+    return arrays
+
+
+def _select_listed(arrays: Arrays, spec: ReleasedSpec, lists: Lists) -> Arrays:
+    """Return the listed experiments, with `split` and `seen`."""
+    ids = [spec.ids[index] for index in arrays["experiment"]]
+    split = lists.split_of(ids)
+    if missing := lists.num_missing(ids):
+        log.warning("%s: %d listed experiments are broken or missing", spec.directory, missing)
+    rows = split != UNLISTED
+    arrays = {name: array[rows] for name, array in arrays.items()} | {"split": split[rows]}
+    return arrays | {"seen": arrays["split"] != SPLITS.index("test")}
+
+
+def _check_moving_shapes(arrays: Arrays, split: Split, lists: Lists) -> None:
+    """Check lists of the splits by the moving object's shape against the data.
+
+    Raises:
+        CophyError: a list names experiments in which another shape moves.
+    """
+    for number, (name, path) in enumerate(zip(SPLITS, lists.paths, strict=True)):
+        part = split.test if name == "test" else split.train
+        wrong = ((arrays["split"] == number) & ~part.select(arrays)).sum()
+        if wrong:
+            raise CophyError(f"{path}: in {wrong} of the listed experiments the moving object is no {part.moving}")
+
+
+class ReleasedClips:
+    """RGB frames of released experiments. All clips are used, because the id lists decide what is tested."""
+
+    name = "rgb.mp4"
+    needed = ALL
+
+    def __init__(self, states: ExperimentSet, spec: ReleasedSpec) -> None:
+        self.states, self.spec = states, spec
+
+    def ensure(self, *, workers: int) -> None:
+        """Index the experiments; their clips cannot be generated."""
+        generation.ensure(self.states, workers=workers)
+
+    def checksums(self) -> None:
+        """Return none: released clips have no checksums."""
+
+    def sequences(self, shard: int) -> Iterator[Clip]:
+        """Yield every frame of every clip."""
+        experiments, times = self.spec.experiments_of_shard(shard), range(self.spec.scenario.clock.num_frames)
+        for row, sequence in np.argwhere(self.states.read(shard)["clip"]).tolist():
+            yield row, sequence, np.array(times), np.stack(list(self._decode(experiments[row], sequence, times)))
+
+    def reader(self, arrays: Arrays) -> Reader:
+        """Return a function that reads the frame of a row of the arrays, a sequence and a time."""
+        return partial(self._read_frame, arrays["experiment"])
+
+    def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> Pictures:
+        """Return a function that decodes both clips of a row of the arrays; RGB is the only modality."""
+        if unknown := set(modalities) - {"rgb"}:
+            raise CophyError(f"released data have no {', '.join(sorted(unknown))}, only rgb")
+        times = range(self.spec.scenario.clock.num_frames)
+
+        def read(row: int) -> dict[str, np.ndarray]:
+            experiment = int(arrays["experiment"][row])
+            directory = self.spec.directory / self.spec.ids[experiment]
+            if not arrays["clip"][row].all():
+                raise CophyError(f"{directory} lacks a clip")
+            ab, cd = (np.stack(list(self._decode(experiment, sequence, times))) for sequence in (0, 1))
+            if ab.shape != cd.shape:
+                raise CophyError(f"{directory}: the clips of ab and cd differ in size: download it again")
+            return {"rgb": np.stack([ab, cd])}
+
+        return read
+
+    def _read_frame(self, experiment: np.ndarray, row: int, sequence: int, time: int) -> np.ndarray:
+        (frame,) = self._decode(int(experiment[row]), sequence, range(time, time + 1))
+        return frame
+
+    def _decode(self, experiment: int, sequence: int, times: range) -> Iterator[np.ndarray]:
+        """Yield frames, (R, R, 3) uint8. Earlier frames are skipped one by one: a seek is not exact in every MP4."""
+        path = self.spec.directory / self.spec.ids[experiment] / SEQUENCES[sequence] / self.name
+        step, position = self.spec.released_format.frame_step, 0
+        try:
+            capture = open_clip(path)
+        except BrokenFileError as error:
+            raise CophyError(str(error)) from error
+        try:
+            for index in (time * step for time in times):
+                for _ in range(index - position):
+                    capture.grab()
+                success, frame = capture.read()
+                position = index + 1
+                if not success or frame.shape[0] != frame.shape[1]:
+                    raise CophyError(f"{path} has no square frame {index}: download it again")
+                yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+        finally:
+            capture.release()

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from cophy.dataset.features import DeclaredInputs, object_types, poses, to_batch, with_appearance
 from cophy.scenario import Shape
 from cophy.types import OBJECT_TYPES, POSE
-from tests.dataset.released.indexing import LISTS, load
-from tests.dataset.released.trees import COLLISION_COLORS, CoPhyTree
+from tests.released.indexing import LISTS, load
+from tests.released.trees import COLLISION_COLORS, CoPhyTree
 
 RNG = np.random.default_rng(0)
 

@@ -1,4 +1,4 @@
-"""What would silently be wrong, or run code, is refused by name."""
+"""Broken and malicious released experiments are named, and run no code."""
 
 import os
 import pickle
@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.dataset.released.indexing import LISTS, make, states
-from tests.dataset.released.trees import CoPhyTree, clip
+from tests.released.indexing import LISTS, make, states
+from tests.released.trees import CoPhyTree, clip
 
 
 class Payload:
@@ -23,11 +23,11 @@ class Payload:
 
 
 def with_states(change: Any) -> Any:
-    def spoil(directory: Path) -> None:
+    def damage(directory: Path) -> None:
         array = np.load(directory / "ab/states.npy")
         np.save(directory / "ab/states.npy", change(array))
 
-    return spoil
+    return damage
 
 
 def at(index: Any, value: float) -> Any:
@@ -86,21 +86,21 @@ def playlist(directory: Path) -> None:
     (directory / "ab/rgb.mp4").write_text("#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n")
 
 
-SPOILT = {
+DAMAGED = {
     "29 frames": (with_states(lambda a: a[:29]), "states.npy has 29 frames, not 30"),
     "columns": (with_states(lambda a: a[..., :7]), "shape (30, 4, 7)"),
     "nan": (at((3, 0, 0), np.nan), "numbers that are not finite"),
     "vanishing": (at((7,), 0.0), "an object is zero in some frames"),
     "wxyz": (with_states(lambda a: a * np.repeat([1, 2, 1], [3, 4, 6])), "not unit quaternions"),
     "too few": (with_states(lambda a: 0 * a), "AB holds 0 objects, not 3"),
-    "pickled": (pickled, "pickled objects are not read"),
+    "pickled": (pickled, "not a .npy file of numbers (Object arrays"),
     "bare pickle": (bare_pickle, "not a .npy file"),
-    "10 GB header": (huge_header, "says float64 (100000000, 1, 13)"),
+    "10 GB header": (huge_header, "not a .npy file of numbers"),
     "CD of another width": (lambda d: np.save(d / "cd/states.npy", np.load(d / "cd/states.npy")[:, :3]), "AB have 4 objects, of CD 3"),
     "odd header": (odd_header, "not a .npy file"),
-    "negative axes": (negative_axes, "says float64 (-30, -4, 13)"),
+    "negative axes": (negative_axes, "not a .npy file of numbers"),
     "beyond float32": (with_states(lambda a: 1e39 * a.astype(bool)), "states.npy holds 1e+39"),
-    "many axes": (many_axes, "says float64 (1, 1, "),
+    "many axes": (many_axes, "not a .npy file of numbers"),
     "link": (linked, "confounders.npy is a link"),
     "linked folder": (linked_folder, "links in the place of ab"),
     "playlist": (playlist, "not an MP4 file"),
@@ -114,18 +114,18 @@ SPOILT = {
 def test_broken_experiments_are_listed_and_the_others_are_read(
     tree: CoPhyTree, caplog: pytest.LogCaptureFixture
 ) -> None:
-    for number, (spoil, _) in enumerate(SPOILT.values(), start=4):
+    for number, (damage, _) in enumerate(DAMAGED.values(), start=4):
         directory = tree.tower(str(number))
         clip(directory / "short.mp4", 12, 5, 32)
-        spoil(directory)
+        damage(directory)
     for name in "0123":
         tree.tower(name)
     tree.lists("blocktowerCF", "_3_normal", **LISTS)
     opened = make(states("cophy", "blocktower", tree.root))
     assert opened.load()["experiment"].tolist() == [0, 1, 2, 3]
-    assert f"{len(SPOILT)} of {len(SPOILT) + 4} experiments are broken, the first is 4: " in caplog.text
+    assert f"{len(DAMAGED)} of {len(DAMAGED) + 4} experiments are broken, the first is 4: " in caplog.text
     problems = (opened.directory / "broken.txt").read_text().splitlines()
-    for number, ((case, (_, message)), problem) in enumerate(zip(SPOILT.items(), problems, strict=True), start=4):
+    for number, ((case, (_, message)), problem) in enumerate(zip(DAMAGED.items(), problems, strict=True), start=4):
         assert problem.startswith(f"{number}: "), case
         assert message in problem, case
     assert not list(tree.root.rglob("executed"))

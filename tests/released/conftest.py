@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.dataset.released.indexing import LISTS
-from tests.dataset.released.trees import CoPhyTree
+from tests.released.indexing import LISTS
+from tests.released.trees import CoPhyTree
 
 
 @pytest.fixture

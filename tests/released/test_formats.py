@@ -1,4 +1,7 @@
-"""CoPhy_224 is read as it is described, whatever varies."""
+"""CoPhy_224 and Filtered-CoPhy are read as they are described."""
+
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,8 +10,8 @@ from cophy.errors import CophyError
 from cophy.released.formats import kind_of
 from cophy.scenario import Shape
 from tests.conftest import settings
-from tests.dataset.released.indexing import LISTS, load
-from tests.dataset.released.trees import BALL_COLORS, TOWER_COLORS, CoPhyTree
+from tests.released.indexing import LISTS, load
+from tests.released.trees import BALL_COLORS, COLLISION_COLORS, TOWER_COLORS, CoPhyTree, filtered_tree
 
 
 def raw(tree: CoPhyTree, path: str) -> np.ndarray:
@@ -32,23 +35,23 @@ def test_towers_are_read_as_they_are_stored(towers: CoPhyTree) -> None:
     np.testing.assert_array_equal(arrays["gravity"], [[0.5, -0.5, -10.0]] * 4)
     np.testing.assert_allclose(arrays["do_offset"], [[0, 0.25, 0], [0, 0, 0]] * 2, atol=1e-6)
     assert arrays["presence"].sum(axis=2).tolist() == [[3, 3], [3, 2]] * 2
-    assert arrays["twin"].tolist() == [0, 1, 2, 3]  # nobody is anybody's twin
+    assert arrays["twin"].tolist() == [0, 1, 2, 3]  # there are no twins
 
 
-def test_columns_of_cd_are_those_that_its_colors_name(tree: CoPhyTree) -> None:
+def test_columns_of_cd_follow_its_colors_file(tree: CoPhyTree) -> None:
     """A file with a column per block, from which the middle block was removed."""
     directory, *_ = (tree.tower(name) for name in "0123")
     tree.lists("blocktowerCF", "_3_normal", **LISTS)
     slots = [TOWER_COLORS.index(text.strip()) for text in (directory / "ab/colors.txt").read_text().split("color=")[1:]]
-    left = [slots[0], slots[2]]
+    remaining = [slots[0], slots[2]]
     ab, cd = (np.load(directory / part / "states.npy") for part in ("ab", "cd"))
     np.save(directory / "ab/states.npy", ab[:, slots])
-    np.save(directory / "cd/states.npy", cd[:, left])
+    np.save(directory / "cd/states.npy", cd[:, remaining])
     (directory / "cd/colors.txt").write_text(
-        "from bottom to top\n" + "".join(f"color={TOWER_COLORS[s]}\n" for s in left)
+        "from bottom to top\n" + "".join(f"color={TOWER_COLORS[s]}\n" for s in remaining)
     )
     states = load("cophy", "blocktower", tree.root)["states"][0]
-    np.testing.assert_allclose(states[1][:, left], cd[:, left], rtol=1e-6)
+    np.testing.assert_allclose(states[1][:, remaining], cd[:, remaining], rtol=1e-6)
     assert not states[1][:, slots[1]].any()
 
 
@@ -65,7 +68,7 @@ def test_noise_in_confounders_is_rounded_to_the_grid(tree: CoPhyTree) -> None:
     assert arrays["states"].shape == (4, 2, 30, len(BALL_COLORS), 13)
 
 
-def test_collisions_know_what_moves(tree: CoPhyTree) -> None:
+def test_the_moving_object_of_collisions_is_known(tree: CoPhyTree) -> None:
     for name in "0123":
         tree.collision(name, moving="cylinder_down" if name == "3" else "sphere")
     tree.lists("collisionCF", "_normal", **LISTS)
@@ -88,14 +91,16 @@ def test_unseen_splits_are_the_lists_called_generalization(towers: CoPhyTree) ->
     assert arrays["seen"].tolist() == [False, True, True]
 
 
-def test_splits_that_nobody_released_are_refused(towers: CoPhyTree) -> None:
+def test_splits_without_released_lists_are_refused(towers: CoPhyTree) -> None:
     with pytest.raises(CophyError, match="3to3_seen does not go with blocktower: use 3to3, 3to3_unseen, 3to4, 4to4, 4"):
         load("cophy", "blocktower", towers.root, split="3to3_seen")
     with pytest.raises(CophyError, match=r"split=3to3_seen: CoPhy_224 has no test list of seen"):
-        kind_of(settings("train", "split=3to3_seen").split)  # of a split of one's own, scenario.task.splits
+        kind_of(settings("train", "split=3to3_seen").split)  # a custom split, scenario.task.splits
 
 
-def test_what_the_tower_generator_leaves_out_is_unknown(tree: CoPhyTree, caplog: pytest.LogCaptureFixture) -> None:
+def test_confounders_that_the_tower_generator_omits_are_unknown(
+    tree: CoPhyTree, caplog: pytest.LogCaptureFixture
+) -> None:
     for name in "0123":
         tree.generated_tower(name, 4)
     tree.lists("blocktowerCF", "_4_normal", **LISTS)
@@ -103,12 +108,12 @@ def test_what_the_tower_generator_leaves_out_is_unknown(tree: CoPhyTree, caplog:
     heights = np.sort(arrays["states"][:, 0, 0, :, 2], axis=1)
     np.testing.assert_allclose(heights, [[0.5, 1.5, 2.5, 3.5]] * 4)
     assert arrays["presence"].sum(axis=2).tolist() == [[4, 4], [4, 3]] * 2
-    assert np.isnan(arrays["mass"]).all()  # which mass is whose, the files do not tell
-    assert np.isnan(arrays["gravity"][:, :2]).all()  # (0.5, 0.5) would pass for gravity, and is two frictions
+    assert np.isnan(arrays["mass"]).all()  # the files do not contain which mass belongs to which block
+    assert np.isnan(arrays["gravity"][:, :2]).all()  # (0.5, 0.5) looks like gravity, but is two frictions
     assert "gravity counts as unknown" in caplog.text
 
 
-def test_unpadded_states_with_colors_find_their_slots(towers: CoPhyTree) -> None:
+def test_states_without_empty_columns_are_moved_to_their_slots(towers: CoPhyTree) -> None:
     known = load("cophy", "blocktower", towers.root)
     for name in "0123":
         for sequence, part in enumerate(("ab", "cd")):
@@ -118,3 +123,50 @@ def test_unpadded_states_with_colors_find_their_slots(towers: CoPhyTree) -> None
             np.save(path, stored[:, [slot for slot in order if known["presence"][int(name), sequence, slot]]])
     for name, array in load("cophy", "blocktower", towers.root).items():
         np.testing.assert_array_equal(array, known[name])
+
+
+SLOTS = {"blocktower": TOWER_COLORS, "balls": BALL_COLORS, "collision": COLLISION_COLORS}
+
+
+@pytest.mark.parametrize(("scenario", "task", "count", "split"), [("blocktower", "blocktowerCF", 4, "4to4"), ("balls", "ballsCF", 4, "4to4"), ("collision", "collisionCF", 2, "all")])  # fmt: skip
+def test_filtered_cophy_is_read_at_five_hertz(tmp_path: Path, scenario: str, task: str, count: int, split: str) -> None:
+    root = tmp_path / "CoPhy_112"
+    filtered_tree(root, task, list("0123"), num_objects=count, clips=False)
+    prefix = f"{task}_{count}" if scenario != "collision" else "collision"
+    for ending, (part, ids) in zip(
+        (".txt", "", ".txt"), LISTS.items(), strict=True
+    ):  # as released: some without ending
+        (root / f"{prefix}_{part}{ending}").write_text("\n".join(ids))
+    arrays = load("filtered_cophy", scenario, root, split=split)
+    for row, name in enumerate("0123"):
+        slots = slots_of(root / task / name, scenario)
+        for sequence, part in enumerate(("ab", "cd")):
+            stored = np.load(root / task / name / part / "states.npy")[::5]
+            np.testing.assert_allclose(arrays["states"][row, sequence][:, slots], stored, rtol=1e-6, atol=1e-6)
+        np.testing.assert_array_equal(arrays["mass"][row, slots], np.load(root / task / name / "confounders.npy"))
+        removed = scenario != "collision" and int(name) % 2
+        assert arrays["presence"][row, 1].sum() == count - removed
+    assert arrays["states"].shape[2] == (15 if scenario == "collision" else 30)
+    assert set(arrays["friction"][arrays["presence"][:, 0]].tolist()) == {0.5}
+    if scenario == "collision":  # the cylinder is first in the files; it moves in 0, the ball in 1
+        for row, moving_first in ((0, [0, 1]), (1, [1, 0])):
+            slots = slots_of(root / task / str(row), scenario)
+            assert arrays["shape"][row, slots].tolist() == [Shape.CYLINDER, Shape.SPHERE]
+            assert arrays["object_index"][row, slots].tolist() == moving_first
+
+
+def slots_of(directory: Path, scenario: str) -> list[int]:
+    names = re.findall(r"\w+", (directory / "COLORS.txt").read_text())
+    return [SLOTS[scenario].index(name) for name in names]
+
+
+@pytest.mark.parametrize(
+    "text", ["__import__('os').mkdir('x')", "['red', 'red']", "[[1]]", "['pink']", "[" * 500, "{[]: 1}"]
+)
+def test_colors_are_read_as_a_literal(tmp_path: Path, text: str) -> None:
+    root = tmp_path / "CoPhy_112"
+    filtered_tree(root, "ballsCF", list("0123"), clips=False)
+    for part, ids in LISTS.items():
+        (root / f"ballsCF_4_{part}.txt").write_text("\n".join(ids))
+    (root / "ballsCF/0/COLORS.txt").write_text(text)
+    assert load("filtered_cophy", "balls", root)["experiment"].tolist() == [1, 2, 3]

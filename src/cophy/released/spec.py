@@ -1,0 +1,148 @@
+"""Which experiments of a released dataset are read, and the lists of ids that split them."""
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cophy.dataset.splits import SPLITS
+from cophy.errors import CophyError
+from cophy.released.recording import ReleasedFormat
+from cophy.scenario import Scenario
+from cophy.untrusted_files import BrokenFileError, read_text
+
+INDEX_VERSION = 1  # raise it when the arrays of an index, or how they are read, change
+EXPERIMENTS_PER_SHARD = 500  # ours: a few MiB of states
+ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # no path to another folder
+UNLISTED = 255
+
+
+@dataclass(frozen=True)
+class ReleasedSpec:
+    """The experiments of a folder, read as a scenario with its grid and clock. ids: its subfolders."""
+
+    scenario: Scenario
+    num_objects: int
+    released_format: ReleasedFormat
+    directory: Path
+    ids: tuple[str, ...]
+
+    @property
+    def num_experiments(self) -> int:
+        """Number of subfolders, broken and empty ones included."""
+        return len(self.ids)
+
+    @property
+    def num_shards(self) -> int:
+        """Number of files of the index."""
+        return -(-len(self.ids) // EXPERIMENTS_PER_SHARD)
+
+    def experiments_of_shard(self, shard: int) -> range:
+        """Return the indices of the experiments in a shard."""
+        first = shard * EXPERIMENTS_PER_SHARD
+        return range(first, min(first + EXPERIMENTS_PER_SHARD, len(self.ids)))
+
+    def reading(self) -> dict[str, Any]:
+        """Return everything that the index depends on, except the content of the released files."""
+        scenario = asdict(self.scenario)
+        read_as = {key: scenario[key] for key in ("name", "colors", "confounders", "gravity_z", "clock")}
+        return {
+            "format": INDEX_VERSION,
+            # the released format; the key stays "layout" because the names of indices on disk are hashes of this
+            "layout": self.released_format.name,
+            "directory": str(self.directory.resolve()),
+            "num_objects": self.num_objects,
+            "scenario": read_as,
+            "ids": hashlib.sha256(" ".join(self.ids).encode()).hexdigest(),
+        }
+
+    @cached_property
+    def id(self) -> str:
+        """Name of the index: number of objects, format and a hash of `reading`."""
+        text = json.dumps(self.reading(), sort_keys=True)
+        return f"{self.num_objects}-{self.released_format.name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+
+def list_experiments(directory: Path) -> tuple[str, ...]:
+    """Return the subfolders of a folder that are named like an id, numbers in numerical order. Links do not count.
+
+    Raises:
+        CophyError: there are none.
+    """
+    try:
+        with os.scandir(directory) as entries:
+            names = [e.name for e in entries if e.is_dir(follow_symlinks=False) and ID.fullmatch(e.name)]
+    except OSError as error:
+        raise CophyError(
+            f"{directory} cannot be listed ({error.strerror}): source.root= is the folder that holds ballsCF, blocktowerCF, …"
+        ) from error
+    if not names:
+        raise CophyError(f"{directory} holds no experiments")
+    return tuple(sorted(names, key=lambda name: (not name.isdigit(), int(name) if name.isdigit() else 0, name)))
+
+
+@dataclass(frozen=True)
+class Lists:
+    """Ids of train, val and test, and the files that list them."""
+
+    ids: tuple[tuple[str, ...], ...]
+    paths: tuple[Path, ...]
+
+    @property
+    def digest(self) -> str:
+        """Eight hexadecimal digits of a hash of the ids."""
+        return hashlib.sha256(repr(self.ids).encode()).hexdigest()[:8]
+
+    def split_of(self, ids: Sequence[str]) -> np.ndarray:
+        """Return the index into SPLITS of each experiment, or UNLISTED: (experiment,) uint8."""
+        splits = {name: split for split, names in enumerate(self.ids) for name in names}
+        return np.array([splits.get(name, UNLISTED) for name in ids], dtype=np.uint8)
+
+    def num_missing(self, ids: Sequence[str]) -> int:
+        """Return how many listed experiments are not among these."""
+        return len({name for names in self.ids for name in names} - set(ids))
+
+
+def read_lists(directories: Sequence[Path], names: Sequence[Sequence[str]]) -> Lists:
+    """Read the lists of train, val and test, each from the first file that has one of its names.
+
+    Raises:
+        CophyError: a list is missing or broken, or an id is in two of them.
+    """
+    paths = tuple(_find_list(directories, candidates) for candidates in names)
+    ids = tuple(_read_list(path) for path in paths)
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        if shared := set(ids[first]) & set(ids[second]):
+            raise CophyError(
+                f"{paths[first]} and {paths[second]} share {len(shared)} ids, for example {min(shared)}: "
+                f"{SPLITS[second]} experiments must not be among those of {SPLITS[first]}"
+            )
+    return Lists(ids, paths)
+
+
+def _find_list(directories: Sequence[Path], names: Sequence[str]) -> Path:
+    for path in (directory / name for directory in directories for name in names):
+        if path.exists():
+            return path
+    raise CophyError(
+        f"there is no {' or '.join(names)} in {' or '.join(map(str, directories))}: put the released lists of ids there, "
+        "or name their folder with source.splits="
+    )
+
+
+def _read_list(path: Path) -> tuple[str, ...]:
+    try:
+        lines = read_text(path.resolve()).splitlines()
+    except BrokenFileError as error:
+        raise CophyError(str(error)) from error
+    for number, line in enumerate(lines, start=1):
+        if line.strip() and not ID.fullmatch(line.strip()):
+            raise CophyError(f"{path}, line {number}: {line.strip()[:60]!r} is not the id of an experiment")
+    return tuple(dict.fromkeys(line.strip() for line in lines if line.strip()))
