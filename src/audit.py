@@ -1,4 +1,4 @@
-"""Prove the datasets of a split sound: python src/audit.py scenario=balls size=small (exit code 1 when they are not)"""
+"""Audit the datasets of a split: python src/audit.py scenario=balls size=small (exit code 1 if a check fails)"""
 
 from cophy.commands.audit import run
 

@@ -1,4 +1,4 @@
-"""Generated data in the format of a released dataset: python src/export.py scenario=balls root=/where/CoPhy_224"""
+"""Export generated data in the format of CoPhy_224: python src/export.py scenario=balls root=/where/CoPhy_224"""
 
 from cophy.commands.export import run
 

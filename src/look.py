@@ -1,4 +1,4 @@
-"""Pictures of a dataset for people: python src/look.py scenario=balls"""
+"""Draw images of a dataset: python src/look.py scenario=balls"""
 
 from cophy.commands.look import run
 

@@ -1,4 +1,4 @@
-"""From pictures to a counterfactual: python src/predict.py observed=AB/ initial=C.png derenderer=… predictor=…"""
+"""Predict a counterfactual from images: python src/predict.py observed=AB/ initial=C.png derenderer=… predictor=…"""
 
 from cophy.commands.predict import run
 

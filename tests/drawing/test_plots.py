@@ -5,7 +5,7 @@ import numpy as np
 from cophy.drawing.plots import draw_trajectories
 
 
-def test_twins_are_drawn_to_one_scale_and_others_to_their_own() -> None:
+def test_twins_share_axis_limits() -> None:
     rng = np.random.default_rng(0)
     initial = rng.normal(size=(3, 2, 3))
     initial[1] = initial[0]  # twins

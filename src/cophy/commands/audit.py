@@ -1,4 +1,4 @@
-"""Prove the datasets of a split sound: python src/audit.py scenario=balls size=small (exit code 1 when they are not)"""
+"""Audit the datasets of a split: python src/audit.py scenario=balls size=small (exit code 1 if a check fails)"""
 
 import sys
 from pathlib import Path
@@ -21,7 +21,7 @@ def main(cfg: DictConfig) -> None:
     settings = to_config(cfg, AuditConfig)
     if settings.source.is_generated:
         directory, pairs = Path(settings.directory), settings.replayed_pairs
-        directory.mkdir(parents=True, exist_ok=True)  # where that cannot be, it is said before anything is made
+        directory.mkdir(parents=True, exist_ok=True)  # fails before anything is generated
         failing = [
             line for s in generated_by(settings) for line in report_generated(s, directory, replayed_pairs=pairs)
         ]

@@ -1,4 +1,4 @@
-"""Generated data in the format of a released dataset: python src/export.py scenario=balls root=/where/CoPhy_224"""
+"""Export generated data in the format of CoPhy_224: python src/export.py scenario=balls root=/where/CoPhy_224"""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def main(cfg: DictConfig) -> None:
 
     settings = to_config(cfg, ExportConfig)
     root = Path(settings.root)
-    root.mkdir(parents=True, exist_ok=True)  # where that cannot be, it is said before anything is made
+    root.mkdir(parents=True, exist_ok=True)  # fails before anything is generated
     for states in generated_by(settings):
         generation.ensure(states, workers=settings.workers)
         images = states.frames(settings.render) if settings.clips else None

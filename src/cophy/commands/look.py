@@ -1,4 +1,4 @@
-"""Pictures of a dataset for people: python src/look.py scenario=balls"""
+"""Draw images of a dataset: python src/look.py scenario=balls"""
 
 import logging
 from pathlib import Path
@@ -33,23 +33,23 @@ def main(cfg: DictConfig) -> None:
     sets = generated_by(settings)
     trained_on = (states for states in sets if states.spec.num_objects == settings.split.train.num_objects)
     states, directory = next(trained_on, sets[0]), Path(settings.directory)
-    directory.mkdir(parents=True, exist_ok=True)  # where that cannot be, it is said before anything is made
+    directory.mkdir(parents=True, exist_ok=True)  # fails before anything is generated
     generation.ensure(states, workers=settings.workers)
     spec, arrays = states.spec, states.load()
     if not 0 <= settings.experiment < spec.num_experiments:
         raise CophyError(f"experiment={settings.experiment} is not among the {spec.num_experiments} of {spec.id}")
-    shown = spec.scenario, arrays, settings.render
-    num_shown = write_contact_sheet(directory / "sheet.png", *shown, settings.num_shown)
-    write_twins(directory / "twins.png", *shown, settings.experiment)
-    write_modalities(directory / "modalities.png", *shown, settings.experiment)
-    write_experiment(directory, *shown, settings.experiment)
+    dataset = spec.scenario, arrays, settings.render
+    num_experiments = write_contact_sheet(directory / "sheet.png", *dataset, settings.num_shown)
+    write_twins(directory / "twins.png", *dataset, settings.experiment)
+    write_modalities(directory / "modalities.png", *dataset, settings.experiment)
+    write_experiment(directory, *dataset, settings.experiment)
     with Renderer(spec.scenario, settings.render.resolution, settings.render.backend) as renderer:
         write_frames(directory, renderer, arrays, settings.experiment)
     split = SPLITS[arrays["split"][settings.experiment]]
     log.info(
         "%s: sheet.png (A, B, C, D of %d experiments); of experiment %d (%s split) twins.png, strip.png, modalities.png, clip.gif, "
         "every frame in AB/ and CD/, and background.png without objects",
-        *(directory, num_shown, settings.experiment, split),
+        *(directory, num_experiments, settings.experiment, split),
     )
 
 

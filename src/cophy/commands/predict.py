@@ -1,4 +1,4 @@
-"""From pictures to a counterfactual: python src/predict.py observed=AB/ initial=C.png derenderer=… predictor=…"""
+"""Predict a counterfactual from images: python src/predict.py observed=AB/ initial=C.png derenderer=… predictor=…"""
 
 import logging
 from pathlib import Path
@@ -29,10 +29,10 @@ def main(cfg: DictConfig) -> None:
     truth = None if settings.truth is None else read_frames(Path(settings.truth))
     background = None if settings.background is None else read_frames(Path(settings.background))[0]
     directory, scenario = Path(settings.directory), predictor.scenario
-    found = predict(observed, initial, derenderer, predictor)
-    predicted = found.positions, found.presence, scenario
+    prediction = predict(observed, initial, derenderer, predictor)
+    predicted = prediction.positions, prediction.presence, scenario
     write_counterfactual(directory, *predicted, observed=observed, truth=truth, background=background)
-    names = [name for name, present in zip(scenario.colors, found.presence, strict=True) if present]
+    names = [name for name, present in zip(scenario.colors, prediction.presence, strict=True) if present]
     log.info("%s: positions.csv, prediction.gif and strip.png; objects in C: %s", directory, ", ".join(names))
 
 

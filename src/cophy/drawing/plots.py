@@ -1,4 +1,4 @@
-"""Pictures of predictions, for TensorBoard and the report."""
+"""Figures of predictions, for TensorBoard and the report."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,7 +10,7 @@ from cophy.scenario import Camera
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}  # the axes shown
 FRAMES_PER_MARKER = 4
-MIN_VIEW_M = 2.0  # what hardly moves shall not look as if it did
+MIN_VIEW_M = 2.0  # keeps tiny movements from filling the figure
 
 
 def draw_trajectories(
@@ -23,44 +23,44 @@ def draw_trajectories(
     title: str = "",
     headings: Sequence[str] = (),
 ) -> Figure:
-    """Predicted and true trajectories of a few experiments, from above and from the side, each object in its colour.
+    """Draw predicted and true trajectories of a few experiments, from above and from the side, each object in its colour.
 
     Squares are C, circles the truth, crosses the prediction (as in the paper's figure of predictions), at every fourth
-    frame and the last. Twins, which start from one C, are drawn to one scale.
+    frame and the last. Twins, which share C, have the same axis limits.
 
     Args:
         initial: (N, K, 3) positions in C, metres.
         predicted: (N, T-1, K, 3) in D.
         true: (N, T-1, K, 3) in D.
         presence: (N, K) which slots hold an object.
-        colors: Of the slots.
-        title: Of the figure.
-        headings: Of the experiments; none, or one for each.
+        colors: colours of the slots.
+        title: title of the figure.
+        headings: one for each experiment, or none.
     """
     count = len(initial)
     figure = Figure(figsize=(3.0 * count, 6.8), layout="constrained")
     figure.suptitle(title, fontsize="medium")
     axes = figure.subplots(len(VIEWS), count, squeeze=False)
-    for (view, (right, up)), row, named in zip(VIEWS.items(), axes, (headings, ()), strict=True):
+    for (view, (right, up)), row, titles in zip(VIEWS.items(), axes, (headings, ()), strict=True):
         for n, axis in enumerate(row):
             for slot in np.flatnonzero(presence[n]).tolist():
                 style = {"color": colors[slot], "markerfacecolor": "none"}
                 for path, marker, line in ((true[n, :, slot], "o", "-"), (predicted[n, :, slot], "x", ":")):
-                    whole = np.concatenate([initial[n, None, slot], path])[:, [right, up]]
-                    marked = [*range(FRAMES_PER_MARKER, len(whole) - 1, FRAMES_PER_MARKER), len(whole) - 1]
-                    axis.plot(*whole.T, line, marker=marker, markevery=marked, ms=6, lw=0.8, **style)
+                    trajectory = np.concatenate([initial[n, None, slot], path])[:, [right, up]]
+                    marked = [*range(FRAMES_PER_MARKER, len(trajectory) - 1, FRAMES_PER_MARKER), len(trajectory) - 1]
+                    axis.plot(*trajectory.T, line, marker=marker, markevery=marked, ms=6, lw=0.8, **style)
                 axis.plot(*initial[n, slot, [right, up]], "s", ms=9, **style)
             twins = [m for m in range(count) if np.array_equal(initial[m], initial[n])]
-            shown = [path[m][:, presence[m]] for m in twins for path in (initial[:, None], true, predicted)]
-            everything = np.concatenate([path[..., [right, up]].reshape(-1, 2) for path in shown])
-            low, high = everything.min(axis=0), everything.max(axis=0)
+            paths = [path[m][:, presence[m]] for m in twins for path in (initial[:, None], true, predicted)]
+            points = np.concatenate([path[..., [right, up]].reshape(-1, 2) for path in paths])
+            low, high = points.min(axis=0), points.max(axis=0)
             centre, half = (low + high) / 2, 0.55 * max((high - low).max(), MIN_VIEW_M)
             axis.set(
                 xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half), aspect="equal"
             )
-            place = f"{view}\n" if n == 0 else ""
-            axis.set(xlabel="x (m)", ylabel=f"{place}{'xyz'[up]} (m)")
-            axis.set_title(named[n] if named else "", fontsize="medium")
+            prefix = f"{view}\n" if n == 0 else ""
+            axis.set(xlabel="x (m)", ylabel=f"{prefix}{'xyz'[up]} (m)")
+            axis.set_title(titles[n] if titles else "", fontsize="medium")
             axis.locator_params(nbins=4)
             axis.grid(alpha=0.2)
     marks = (("s", "", "C"), ("o", "-", "true D"), ("x", ":", "predicted D"))
@@ -74,27 +74,33 @@ def draw_trajectories(
 def draw_centres(
     images: np.ndarray,
     predicted: np.ndarray,
-    found: np.ndarray,
+    predicted_presence: np.ndarray,
     true: np.ndarray,
     presence: np.ndarray,
     *,
     camera: Camera,
 ) -> Figure:
-    """Frames with true (circles) and predicted (crosses) centres.
+    """Draw frames with true (circles) and predicted (crosses) centres.
 
     Args:
         images: (N, R, R, 3) uint8.
         predicted: (N, K, 3) positions, metres.
-        found: (N, K) which slots are said to hold an object.
+        predicted_presence: (N, K) which slots are predicted to hold an object.
         true: (N, K, 3) positions, metres.
         presence: (N, K) which slots hold an object.
-        camera: Took the images.
+        camera: camera of the images.
     """
     columns = min(len(images), 4)
     rows = -(-len(images) // columns)
     figure = Figure(figsize=(3.0 * columns, 3.0 * rows), layout="constrained")
     for axis, image, *what in zip(
-        figure.subplots(rows, columns, squeeze=False).flat, images, true, presence, predicted, found, strict=False
+        figure.subplots(rows, columns, squeeze=False).flat,
+        images,
+        true,
+        presence,
+        predicted,
+        predicted_presence,
+        strict=False,
     ):
         axis.imshow(image)
         for position, present, marker in ((what[0], what[1], "o"), (what[2], what[3], "x")):
@@ -107,13 +113,13 @@ def draw_centres(
 
 
 def error_over_time(predicted: np.ndarray, true: np.ndarray, presence: np.ndarray, *, dims: int) -> np.ndarray:
-    """How far predictions are off at every step: mean over present objects, then over experiments.
+    """Return the mean position error at every step: mean over present objects, then over experiments.
 
     Args:
         predicted: (N, T-1, K, 3) positions in D, metres.
-        true: The same in truth.
+        true: (N, T-1, K, 3) true positions.
         presence: (N, K) which slots hold an object.
-        dims: How many coordinates count.
+        dims: number of coordinates that count.
 
     Returns:
         (T-1,) Euclidean distance, metres.
@@ -124,13 +130,7 @@ def error_over_time(predicted: np.ndarray, true: np.ndarray, presence: np.ndarra
 
 
 def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: float, title: str = "") -> Figure:
-    """One line per model; the legend starts with the largest error.
-
-    Args:
-        curves: `error_over_time` of each model.
-        frame_rate_hz: Of its steps.
-        title: Of the figure.
-    """
+    """Draw `error_over_time` of each model as a line; the legend starts with the largest final error."""
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axis = figure.subplots()
     for n, (name, curve) in enumerate(curves.items()):
@@ -145,11 +145,11 @@ def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: flo
 
 
 def draw_confusion(counts: np.ndarray, names: Sequence[str]) -> Figure:
-    """How often each outcome was predicted for each true one, with its share of the true ones.
+    """Draw how often each outcome was predicted for each true one, with its share of the row.
 
     Args:
         counts: (C, C) experiments; rows are true outcomes, columns predicted ones.
-        names: Of the outcomes.
+        names: names of the outcomes.
     """
     figure = Figure(figsize=(4.2, 3.6), layout="constrained")
     axis = figure.subplots()
@@ -160,5 +160,5 @@ def draw_confusion(counts: np.ndarray, names: Sequence[str]) -> Figure:
         axis.text(column, row, text, ha="center", va="center", color="white" if share > 0.5 else "black")
     axis.set_xticks(range(len(names)), names)
     axis.set_yticks(range(len(names)), names)
-    axis.set(xlabel="predicted", ylabel="true", title="Towers of CD: count, share of its row")
+    axis.set(xlabel="predicted", ylabel="true", title="Towers of CD: count, share of the row")
     return figure

@@ -22,9 +22,8 @@ from torch.utils.tensorboard import SummaryWriter
 
 from cophy.dataset.frames import FrameDataset
 from cophy.drawing.files import add_clip, mark
-from cophy.drawing.labels import Line, text_block
 from cophy.drawing.plots import draw_centres, draw_confusion, draw_error_over_time, draw_trajectories, error_over_time
-from cophy.drawing.sheets import REACH, at, grid
+from cophy.drawing.sheets import REACH, Line, at, grid, text_block
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import Renderer
 from cophy.training.predictor import PredictionModule

@@ -1,4 +1,4 @@
-"""Predictions as pictures."""
+"""Predictions as images."""
 
 from pathlib import Path
 from typing import Any
@@ -22,15 +22,15 @@ def true_positions(spec: DatasetSpec, arrays: dict[str, Any]) -> tuple[np.ndarra
     return arrays["states"][ROW, 1, ::stride, :, :3], arrays["presence"][ROW, 1]
 
 
-def test_true_positions_over_the_true_background_are_the_true_pictures(
+def test_true_positions_over_the_true_background_give_the_true_images(
     tiny: tuple[DatasetSpec, dict[str, Any]], tmp_path: Path
 ) -> None:
-    """But for what positions do not tell: how blocks are turned, and what is a cylinder."""
+    """Except for what positions do not contain: rotations of blocks, and which objects are cylinders."""
     spec, arrays = tiny
     with Renderer(spec.scenario, RESOLUTION) as renderer:
         truth = render_sequence(renderer, arrays, ROW, 1, slice(None)).rgb
         (tmp_path / "AB").mkdir()
-        for name in ("99.png", "notes.png"):  # of a longer sequence; of the person
+        for name in ("99.png", "notes.png"):  # from a longer sequence; by the user
             (tmp_path / "AB" / name).write_bytes(b"")
         write_frames(tmp_path, renderer, arrays, ROW)
     assert not (tmp_path / "AB" / "99.png").exists()
@@ -44,29 +44,29 @@ def test_true_positions_over_the_true_background_are_the_true_pictures(
     assert (np.abs(on_another.astype(int) - truth).max(axis=-1) > 12).mean() > 0.5
 
 
-def test_what_changes_is_kept_and_the_rest_is_cropped() -> None:
+def test_images_are_cropped_to_what_changes() -> None:
     background = np.full((50, 50, 3), 100, np.uint8)
     frames = np.stack([background] * 2)
     frames[0, 10:14, 20:24], frames[1, 25:28, 30:34] = 200, 10
     window = window_of_changes(frames, background)
-    kept = window.cut(frames)
-    assert kept.shape[1] == kept.shape[2] < 28
-    assert (kept != 100).sum() == (frames != 100).sum()
+    cropped = window.cut(frames)
+    assert cropped.shape[1] == cropped.shape[2] < 28
+    assert (cropped != 100).sum() == (frames != 100).sum()
     assert window_of_changes(background[None], background).edge == 1.0
 
 
-def test_a_row_for_ab_one_for_the_truth_and_one_for_the_prediction(
+def test_the_strip_has_rows_for_ab_the_truth_and_the_prediction(
     tiny: tuple[DatasetSpec, dict[str, Any]], tmp_path: Path
 ) -> None:
     spec, arrays = tiny
     positions, presence = true_positions(spec, arrays)
     frames = np.full((len(positions), 32, 32, 3), 100, np.uint8)
-    given = (positions, presence, spec.scenario)
+    arguments = (positions, presence, spec.scenario)
     heights = []
     for name, truth in (("without", None), ("with", frames)):
-        write_counterfactual(tmp_path / name, *given, observed=frames, truth=truth, background=None)
+        write_counterfactual(tmp_path / name, *arguments, observed=frames, truth=truth, background=None)
         heights.append(read_frames(tmp_path / name / "strip.png").shape[1])
     assert heights[1] - heights[0] == 224 + 4
     for wrong in ({"truth": frames[1:], "background": None}, {"truth": None, "background": frames[0, 1:]}):
         with pytest.raises(CophyError, match="rows and columns, AB has"):
-            write_counterfactual(tmp_path, *given, observed=frames, **wrong)
+            write_counterfactual(tmp_path, *arguments, observed=frames, **wrong)
