@@ -26,10 +26,6 @@ register()
 torch.set_num_threads(1)
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--attacks", type=int, default=3, help="how often tests/attacks attack each thing (docs/trust.md)")
-
-
 @pytest.fixture(scope="session")
 def scenario_of() -> Callable[..., Scenario]:
     """A scenario as conf/ has it, with overrides."""
