@@ -16,16 +16,16 @@ from typing import Any
 
 import pytest
 
+from cophy.commands.report import ComposedData
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.report_choices import ComposedChoices
 from cophy.study.answers import AnswerStore
 from cophy.study.judging import read_clicks, read_participants
 from cophy.study.report import draw_studies, read_answers, study_tables
 from tests.attacks.conftest import DATA, DERENDERER, ESTIMATED, TRAINING, Step, copy_world
 from tests.commands import ending
 from tests.conftest import tiny_spec
-from tests.report.people.test_people import description, write_answers
+from tests.study.test_participants_in_report import description, write_answers
 
 pytestmark = pytest.mark.slow
 
@@ -211,7 +211,7 @@ def test_damaged_answer_files_are_named_or_do_no_harm(
         caplog.clear()
         with warnings.catch_warnings(), caplog.at_level(logging.INFO):
             warnings.simplefilter("ignore")  # about values that are wrong
-            studies = read_answers(world, ComposedChoices("generated", tiny_data))
+            studies = read_answers(world, ComposedData("generated", tiny_data).dataset)
             study_tables(studies)
             list(draw_studies(studies))
         assert len(studies) + " ".join(caplog.text.split()).count("left out") >= 1
