@@ -14,7 +14,6 @@ from pathlib import Path
 import torch
 from hydra.core.hydra_config import HydraConfig
 
-from cophy import variants
 from tests.conftest import ROOT
 
 ON_TWO = ("trainer.devices=2", "trainer.strategy=ddp", "trainer.accelerator=cpu")
@@ -87,4 +86,3 @@ def _as_left() -> Iterator[None]:
         torch.use_deterministic_algorithms(False)
         torch.set_num_threads(1)
         HydraConfig.instance().cfg = None
-        variants.of_choices.cache_clear()  # another command may be given other folders of configurations

@@ -22,7 +22,7 @@ from cophy.types import Batch
 ROOT = Path(__file__).parents[1]
 SCENARIOS = {"blocktower": 3, "balls": 4, "collision": 2}  # with the number of objects of its default split
 
-register()
+register(models=True)
 torch.set_num_threads(1)
 
 

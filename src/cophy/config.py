@@ -1,28 +1,33 @@
-"""The datasets that a command's configuration names.
+"""Compose configurations, make them typed objects, and name what a run changes beyond its names.
 
-Configurations as the command line composes them, typed or not.
+The names of a run (scenario, split, model, ablation, positions, seed) are parts of its directory. `variant` is the rest, the
+end of the directory's name: `seed0+size-12k+hidden_dim-8`.
 """
 
+import functools
+import hashlib
 import json
-import math
-from dataclasses import asdict, is_dataclass
-from functools import cache
+import re
+from collections import Counter
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 import hydra
+from hydra.conf import HydraConf
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import MissingConfigException
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 import cophy
 from cophy.dataset.experiment_set import ExperimentSet
 from cophy.dataset.source import generated_sets
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.schemas import AuditConfig, DataConfig, DerenderConfig, TrainConfig
-from cophy.training.run import differences
+from cophy.schemas import AuditConfig, DataConfig, DerenderConfig, TrainConfig, register
+from cophy.training.run import differences, plain_value
 
 OPEN = ("trainer.",)  # takes any argument of lightning.Trainer with +
 PACKAGE = Path(cophy.__file__).parent
@@ -33,83 +38,52 @@ Config = TypeVar("Config")
 
 
 def to_config(config: DictConfig, schema: type[Config]) -> Config:
-    """The typed configuration, made of plain Python objects.
+    """Return the typed configuration, made of plain Python objects.
 
     Raises:
-        CophyError: A value is out of its range or not resolved, or a key does not exist.
+        CophyError: A value is out of its range, or a key does not exist.
     """
     _check_keys(config, "")
-    _check_finite(OmegaConf.to_container(config, resolve=False), "")
     try:
-        built = OmegaConf.to_object(config)
-    except (ValueError, TypeError) as error:
+        result = OmegaConf.to_object(config)
+    except ValueError as error:  # raised by the __post_init__ of a schema
+        if isinstance(error, OmegaConfBaseException):
+            raise
         raise CophyError(str(error)) from error
-    assert isinstance(built, schema), type(built)
-    return built
+    assert isinstance(result, schema), type(result)
+    return result
 
 
 def _check_keys(config: DictConfig, path: str) -> None:
-    """Refuse keys that were added with + and that nothing reads; those of a model of one's own are free."""
+    """Refuse unknown keys that were added with +; a model without a schema takes any."""
     schema = OmegaConf.get_type(config)
     if path in OPEN or not is_dataclass(schema):
         return
-    wanted = get_type_hints(schema)
+    known = get_type_hints(schema)
     for key in map(str, config):
-        if key not in wanted:
+        if key not in known:
             raise CophyError(f"{path}{key}: there is no such key; --help lists them")
-        if OmegaConf.is_missing(config, key):
-            continue
-        _check_container(config[key], wanted[key], f"{path}{key}")
-        if isinstance(child := config[key], DictConfig):
+        if not OmegaConf.is_missing(config, key) and isinstance(child := config[key], DictConfig):
             _check_keys(child, f"{path}{key}.")
 
 
-def _check_container(value: Any, wanted: Any, path: str) -> None:
-    """Refuse what is no list or dict where one belongs: OmegaConf lets a reference (`${key}`) be anything."""
-    kind = get_origin(wanted)
-    if kind not in (list, dict):
-        return
-    if not (OmegaConf.is_list(value) if kind is list else OmegaConf.is_dict(value)):
-        raise CophyError(f"{path}={value}: here is a {wanted}")
-    for inner in value if kind is list else value.values():
-        _check_container(inner, get_args(wanted)[-1], path)
-
-
-def _check_finite(value: Any, path: str) -> None:
-    """Refuse NaN, infinite numbers and those of more than 64 bits, of which no key makes sense."""
-    if isinstance(value, dict | list):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, inner in items:
-            _check_finite(inner, f"{path}.{key}" if path else str(key))
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise CophyError(f"{path}={value} must be a finite number")
-    elif isinstance(value, int) and value.bit_length() > 63:
-        raise CophyError(f"{path} is a number of {value.bit_length()} bits: too large")
-
-
 def to_plain(config: DictConfig) -> dict[str, Any]:
-    """The configuration as dicts, lists and values, all references resolved and enumerations by name."""
+    """Return the configuration as dicts, lists and values, with all references resolved and enumerations by name."""
     plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
     assert isinstance(plain, dict)
     return {str(key): value for key, value in plain.items()}
 
 
 def composed(name: str, *overrides: str, return_hydra_config: bool = False) -> DictConfig:
-    """What `python src/<name>.py <overrides>` composes.
+    """Return what `python src/<name>.py <overrides>` composes.
 
-    Inside a command, the folders of configurations that the command was given count too. A Hydra program of somebody else's
-    that calls this is left as it is.
-
-    Args:
-        name: Of the command.
-        overrides: Of its configuration.
-        return_hydra_config: Whether Hydra's own keys are in it.
+    Inside a command, its search path of configurations is used. Somebody else's Hydra program that calls this keeps its own.
     """
     if _is_in_a_command():
-        given = HydraConfig.get().overrides.hydra
-        return hydra.compose(
-            name, [*(path for path in given if path.startswith("hydra.searchpath=")), *overrides], return_hydra_config
-        )
+        hydra_overrides = HydraConfig.get().overrides.hydra
+        search_path = [override for override in hydra_overrides if override.startswith("hydra.searchpath=")]
+        return hydra.compose(name, [*search_path, *overrides], return_hydra_config)
+    register(models=name == "train")
     instance = GlobalHydra.instance()
     before, instance.hydra = instance.hydra, None
     try:
@@ -120,65 +94,163 @@ def composed(name: str, *overrides: str, return_hydra_config: bool = False) -> D
 
 
 def _is_in_a_command() -> bool:
-    """Whether Hydra is at work for a command of ours."""
+    """Return whether Hydra runs one of our commands."""
     if not (GlobalHydra.instance().is_initialized() and HydraConfig.initialized()):
         return False
     return any(Path(source.path) == CONF for source in HydraConfig.get().runtime.config_sources)
 
 
 def settings(name: str, *overrides: str) -> Any:
-    """The same, typed: an object of the schema of that command."""
+    """Return what `python src/<name>.py <overrides>` composes, as an object of the command's schema."""
     return to_config(composed(name, *overrides), object)
 
 
-def generated_by(settings: DataConfig) -> list[States]:
-    """The generated datasets that the split, or num_objects, names."""
+# The datasets of a configuration
+
+DATA_GROUPS = ("confounders", "source_scenario")  # the only groups besides scenario and size whose files set their keys
+
+
+def generated_by(config: DataConfig) -> list[States]:
+    """Return the generated datasets that the split, or num_objects, names."""
     return generated_sets(
-        settings.scenario,
-        settings.split,
-        settings.num_objects,
-        size=settings.size,
-        data_seed=settings.data_seed,
-        data_dir=Path(settings.data_dir),
-        overrides=_overrides(settings),
+        config.scenario,
+        config.split,
+        config.num_objects,
+        size=config.size,
+        data_seed=config.data_seed,
+        data_dir=Path(config.data_dir),
+        overrides=_data_overrides(config),
     )
 
 
 def experiments_of(
-    settings: AuditConfig | DerenderConfig | TrainConfig, num_objects: list[int] | None
+    config: AuditConfig | DerenderConfig | TrainConfig, num_objects: list[int] | None
 ) -> list[ExperimentSet]:
-    """The datasets of the configured source, generated or released, that the split or `num_objects` names."""
-    return settings.source.experiment_sets(
-        settings.scenario,
-        settings.split,
+    """Return the datasets of the configured source, generated or released, that the split or `num_objects` names."""
+    return config.source.experiment_sets(
+        config.scenario,
+        config.split,
         num_objects,
-        size=settings.size,
-        data_seed=settings.data_seed,
-        data_dir=Path(settings.data_dir),
-        overrides=_overrides(settings) if settings.source.is_generated else (),
+        size=config.size,
+        data_seed=config.data_seed,
+        data_dir=Path(config.data_dir),
+        overrides=_data_overrides(config) if config.source.is_generated else (),
     )
 
 
-def _overrides(settings: DataConfig) -> tuple[str, ...]:
-    """What scenario and size change beyond their names, as `DatasetSpec.overrides`."""
+def _data_overrides(config: DataConfig) -> tuple[str, ...]:
+    """Return what scenario and size change beyond their names, as `DatasetSpec.overrides`."""
+    if _is_in_a_command() and not _may_change_data(HydraConfig.get()):
+        return ()
     sources = str(HydraConfig.get().runtime.config_sources) if HydraConfig.initialized() else ""
-    usual = _usual(settings.scenario.name, settings.size.name, sources)
-    own = {"scenario": asdict(settings.scenario), "size": asdict(settings.size)}
-    changed = [pair for key, value in own.items() if key in usual for pair in differences(key, value, usual[key])]
+    expected = _compose_data(config.scenario.name, config.size.name, sources)
+    actual = {"scenario": asdict(config.scenario), "size": asdict(config.size)}
+    changed = [pair for key in expected for pair in differences(key, actual[key], expected[key])]
     return tuple(f"++{key}={json.dumps(value, separators=(',', ':'))}" for key, value in changed)
 
 
-@cache
-def _usual(scenario: str, size: str, sources: str) -> dict[str, Any]:
-    """Scenario and size as these names say; nothing where one of them is a name in no file.
+def _may_change_data(hydra_config: HydraConf) -> bool:
+    """Return whether the command line may change the keys of scenario or size beyond their names."""
+    if any(source.provider not in ("hydra", "main", "schema") for source in hydra_config.runtime.config_sources):
+        return True  # folders of the user, whose files may set anything
+    keys = {_key_of(override) for override in hydra_config.overrides.task}
+    return any(key in DATA_GROUPS or key.startswith(("scenario.", "size.")) for key in keys)
+
+
+@functools.cache
+def _compose_data(scenario: str, size: str, sources: str) -> dict[str, Any]:
+    """Return scenario and size as their names compose them, or nothing if there is no file of such a name.
 
     Args:
-        scenario: The choice of its group.
-        size: Likewise.
-        sources: The folders of configurations that the command was given, for the cache.
+        sources: The search path of configurations, as part of the cache's key.
     """
     try:
         config = settings("generate", f"scenario={scenario}", f"size={size}")
     except MissingConfigException:
         return {}
     return {"scenario": asdict(config.scenario), "size": asdict(config.size)}
+
+
+# The variant of a run
+
+NAMES = ("scenario", "split", "model", "ablation", "source")  # groups whose choices are parts of the path
+CHOICES = ("size", "confounders", "trainer", "optimizer", "schedule")  # groups whose choice is shorter than its keys
+COMPARED = ("size", "data_seed", "scenario", "split", "model", "training", "trainer", "derenderer")
+COMPARED_FOR_DERENDERERS = ("render", "num_images", "num_objects")
+LONGEST = 100  # characters; file systems allow 255
+# keys that change no variant: they have no effect on results, or are themselves parts of the path
+IGNORED = {field.name for field in fields(TrainConfig)} - {*COMPARED, *COMPARED_FOR_DERENDERERS}
+
+
+def variant(config: DictConfig, hydra_config: HydraConf) -> str:
+    """Return what a run changes beyond its names, "" for nothing.
+
+    Equal configurations have the same variant, in whatever order their keys are written. It has no `=` and `,`, because a path
+    with these would need quotes twice as the value of a key (`ckpt=`, `derenderer=`).
+
+    Args:
+        config: The configuration of the run.
+        hydra_config: What Hydra says of it: the choices of groups, and the overrides of the command line.
+
+    Returns:
+        For example "+confounders-released+hidden_dim-8"; if that is long, its beginning and a hash of all.
+    """
+    keys = {_key_of(override) for override in hydra_config.overrides.task} - {*NAMES}
+    if {key.partition(".")[0] for key in keys} <= IGNORED:
+        return ""
+    choices, sources = hydra_config.runtime.choices, str(hydra_config.runtime.config_sources)
+    names = [f"{group}={choices[group]}" for group in NAMES]
+    expected = _compose_choices(sources, *names)
+    groups = [group for group in CHOICES if choices.get(group) != expected.hydra.runtime.choices.get(group)]
+    if groups:
+        expected = _compose_choices(sources, *names, *(f"{group}={choices[group]}" for group in groups))
+    is_derenderer = str(choices["model"]).startswith("derenderer")
+    changed = {
+        key: value
+        for root in (*COMPARED, *(COMPARED_FOR_DERENDERERS if is_derenderer else ()))
+        for key, value in differences(root, plain_value(config, root), plain_value(expected, root))
+        if not (_is_reference(config, key) and _is_reference(expected, key))
+    }
+    last_words = Counter(key.rpartition(".")[2] for key in changed)
+    parts = [(group, choices[group]) for group in groups]
+    for key in sorted(changed):
+        last_word = key.rpartition(".")[2]
+        parts.append((last_word if last_words[last_word] == 1 else key, changed[key]))
+    text = "+".join(f"{key}-{_to_path(value)}" for key, value in parts)
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return f"+{text}" if text else ""
+
+
+def _key_of(override: str) -> str:
+    """Return the key or group of an override: `model.hidden_dim` of `++model.hidden_dim=8`."""
+    return override.partition("=")[0].lstrip("+~").partition("@")[0]
+
+
+@functools.cache
+def _compose_choices(sources: str, *choices: str) -> DictConfig:
+    """Return what these choices of groups compose; `sources` is the search path, for the cache. Do not change the result."""
+    return composed("train", *choices, return_hydra_config=True)
+
+
+def _is_reference(config: DictConfig, key: str) -> bool:
+    """Return whether a key only repeats another one, as training.optimizer.lr does."""
+    parent, _, name = key.rpartition(".")
+    node = OmegaConf.select(config, parent) if parent else config
+    return isinstance(node, DictConfig) and name in node and OmegaConf.is_interpolation(node, name)
+
+
+def _to_path(value: Any) -> str:
+    """Return a value as part of a directory's name; for a value with keys of its own, a hash."""
+    if isinstance(value, dict):
+        return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:6]
+    return re.sub(r"[^\w.-]+", "_", str(value)).strip("_")
+
+
+def _resolve_variant(*, _root_: DictConfig) -> str:
+    """Return `${variant:}`, which conf/train.yaml puts into the directory of a run."""
+    return variant(_root_, _root_.hydra)
+
+
+# at import, because processes of Hydra's launchers import this module and call no function of it before they need it
+OmegaConf.register_new_resolver("variant", _resolve_variant, replace=True)

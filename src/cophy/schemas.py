@@ -1,15 +1,14 @@
-"""Makes the schemas known to Hydra.
+"""Types and ranges of the configuration: a dataclass per command, so that a wrong key or type stops a sweep before its first run.
 
-Schemas of conf/model/: the arguments of the networks, their types and ranges.
-The arguments of lightning.Trainer that a run may set, and their ranges.
-One dataclass per command: the types and ranges of its keys, so that a wrong one stops every run before the first.
-
-Scenario, split, size, source, render, model and trainer are groups of conf/.
-The types and ranges of the keys of study.py.
+The schemas of models are derived from their constructors; `register` makes all schemas known to Hydra.
 """
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, make_dataclass
+from enum import Enum
+from functools import cache
+from inspect import Parameter, signature
+from types import NoneType, UnionType
+from typing import Any, Optional, Union, get_args, get_origin, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
@@ -18,105 +17,11 @@ from cophy.dataset.experiment_set import FRAMES, ORACLES, OracleSettings
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
-from cophy.models.cophynet import ConfounderSource, Decoding, Gating, Interaction
-from cophy.models.derenderer import Readout
 from cophy.report.paper_tables import register_tables
 from cophy.scenario import Balls, Blocktower, Collision, Scenario
 from cophy.scenario.rendering import RenderSettings
 from cophy.study.plan import Limits, StudySettings
 from cophy.training.settings import Training
-
-
-@dataclass
-class CoPhyNetConfig:
-    """cophy.models.cophynet.CoPhyNet, which explains its arguments."""
-
-    _target_: str = "cophy.models.cophynet.CoPhyNet"
-    hidden_dim: int = MISSING
-    gru_layers: int = MISSING
-    edge_layers: int = MISSING
-    node_layers: int = MISSING
-    temperature: float = MISSING
-    confounders: ConfounderSource = MISSING
-    gating: Gating = MISSING
-    interaction: Interaction = MISSING
-    decoding: Decoding = MISSING
-    object_type: bool = MISSING
-    pose: bool = MISSING
-    num_frames: int | None = None
-    slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
-
-    def __post_init__(self) -> None:
-        if min(self.hidden_dim, self.gru_layers) < 1 or min(self.node_layers, self.edge_layers) < 2:
-            raise ValueError(
-                "model: hidden_dim and gru_layers must be at least 1, edge_layers and node_layers at least 2"
-            )
-        if self.temperature <= 0:
-            raise ValueError(f"model.temperature={self.temperature} must be positive")
-        if self.decoding is Decoding.single_step and self.num_frames is None:
-            raise ValueError("model.decoding=single_step needs model.num_frames, see conf/ablation/single_step.yaml")
-        if self.interaction is Interaction.mlp and not self.slots:
-            raise ValueError("model.interaction=mlp needs model.slots, see conf/ablation/mlp.yaml")
-
-
-@dataclass
-class AlongsideConfig:
-    """cophy.models.alongside.Alongside, which explains its arguments."""
-
-    _target_: str = "cophy.models.alongside.Alongside"
-    hidden_dim: int = MISSING
-    edge_layers: int = MISSING
-    temperature: float = MISSING
-    arena_half_width: float | None = MISSING
-    max_step: float = MISSING
-    replay: bool = MISSING
-    impulses: bool = MISSING
-    pair_memory: bool = MISSING
-    object_type: bool = MISSING
-    pose: bool = MISSING
-
-    def __post_init__(self) -> None:
-        if self.hidden_dim < 1 or self.edge_layers < 2:
-            raise ValueError("model: hidden_dim must be at least 1, edge_layers at least 2")
-        if self.temperature <= 0:
-            raise ValueError(f"model.temperature={self.temperature} must be positive")
-        if self.max_step <= 0:
-            raise ValueError(f"model.max_step={self.max_step} must be positive")
-
-
-@dataclass
-class InteractionNetworkConfig:
-    """cophy.models.baselines.InteractionNetwork, which explains its arguments."""
-
-    _target_: str = "cophy.models.baselines.InteractionNetwork"
-    hidden_dim: int = MISSING
-    edge_layers: int = MISSING
-    node_layers: int = MISSING
-    radius: float | None = MISSING
-    confounders: ConfounderSource | None = MISSING
-    object_type: bool = MISSING
-    pose: bool = MISSING
-
-    def __post_init__(self) -> None:
-        if min(self.hidden_dim, self.node_layers) < 1 or self.edge_layers < 2:
-            raise ValueError("model: hidden_dim and node_layers must be at least 1, edge_layers at least 2")
-        if self.radius is not None and self.radius <= 0:
-            raise ValueError(f"model.radius={self.radius} must be positive, or null for all objects")
-
-
-@dataclass
-class DerendererConfig:
-    """cophy.models.derenderer.Derenderer, which explains its arguments."""
-
-    _target_: str = "cophy.models.derenderer.Derenderer"
-    slots: Any = None  # a list of names; typed, it would have to be resolved before the scenario is known
-    resolution: int = MISSING
-    width: int = MISSING
-    readout: Readout = MISSING
-
-    def __post_init__(self) -> None:
-        if self.resolution < 8 or self.resolution % 4 or self.width < 1:
-            raise ValueError("model: resolution must be a multiple of 4 and at least 8, width at least 1")
 
 
 @dataclass
@@ -143,20 +48,6 @@ class OracleConfig:
     def settings(self) -> OracleSettings:
         """What all oracles are asked with."""
         return OracleSettings(self.draws, self.max_configurations, self.noise, self.max_experiments)
-
-
-@dataclass
-class CopyCConfig:
-    """Nothing to configure."""
-
-    _target_: str = "cophy.models.baselines.CopyC"
-
-
-@dataclass
-class CopyBConfig:
-    """Nothing to configure."""
-
-    _target_: str = "cophy.models.baselines.CopyB"
 
 
 @dataclass
@@ -480,22 +371,51 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "size": {"size": Size},
     "source": {"source": Source},
     "render": {"render": RenderSettings},
-    "model": {
-        "cophynet": CoPhyNetConfig,
-        "alongside": AlongsideConfig,
-        "interaction_network": InteractionNetworkConfig,
-        "derenderer": DerendererConfig,
-        "oracle": OracleConfig,
-        "copy_c": CopyCConfig,
-        "copy_b": CopyBConfig,
-    },
+    "model": {"oracle": OracleConfig},
 }
 
 
-def register() -> None:
-    """Make the schemas known to Hydra, as `schema/<group>/<name>`, and the groups `row` and `table`."""
+@cache
+def register(*, models: bool = False) -> None:
+    """Make the schemas known to Hydra, as `schema/<group>/<name>`, and the groups `row` and `table`.
+
+    Args:
+        models: Whether to derive and register those of `cophy.models`, too, which imports torch.
+    """
     register_tables()
+    schemas = {group: dict(choices) for group, choices in SCHEMAS.items()}
+    if models:
+        import cophy.models
+
+        schemas["model"] |= {name: schema_of(getattr(cophy.models, name)) for name in cophy.models.__all__}
     store = ConfigStore.instance()
-    for group, schemas in SCHEMAS.items():
-        for name, schema in schemas.items():
+    for group, choices in schemas.items():
+        for name, schema in choices.items():
             store.store(group=f"schema/{group}", name=name, node=schema)
+
+
+def schema_of(cls: type) -> type:
+    """Return a dataclass with the arguments of a constructor as its fields, and `_target_`."""
+    hints = get_type_hints(cls.__init__)  # type: ignore[misc]
+    arguments = [
+        (name, _field_type(hints[name]), MISSING if argument.default is Parameter.empty else argument.default)
+        for name, argument in signature(cls).parameters.items()
+        if argument.kind not in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+    ]
+    return make_dataclass(cls.__name__, [("_target_", str, MISSING), *arguments])
+
+
+def _field_type(annotation: Any) -> Any:
+    """Return the type of a field: int, float, bool, str or an enumeration, perhaps optional; Any for everything else.
+
+    For arguments that take an enumeration or the name of a member (`Gating | str`), it is the enumeration.
+    """
+    members = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
+    options = set(members) - {NoneType}
+    enums = {option for option in options if isinstance(option, type) and issubclass(option, Enum)}
+    if len(enums) == 1 and options <= enums | {str}:
+        options = enums
+    if len(options) != 1 or not enums | {int, float, bool, str} >= options:
+        return Any
+    (option,) = options
+    return Optional[option] if NoneType in members else option  # noqa: UP045 (not a type until now)

@@ -3,18 +3,14 @@
 import sys
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
 from cophy import cli
-from cophy.config import CONF, experiments_of, generated_by, to_config
-from cophy.schemas import AuditConfig, register
-
-register()
+from cophy.config import experiments_of, generated_by, to_config
+from cophy.schemas import AuditConfig
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="audit")
-@cli.in_one_line
+@cli.command("audit")
 def main(cfg: DictConfig) -> None:
     from cophy.audit.report import report_generated, report_released  # matplotlib takes a second to import
 
@@ -29,8 +25,3 @@ def main(cfg: DictConfig) -> None:
         failing = [line for s in experiments_of(settings, settings.num_objects) for line in report_released(s)]
     if failing:
         sys.exit("audit: " + "\naudit: ".join(failing))
-
-
-def run() -> None:
-    """The command, as `pip install` puts it on the PATH."""
-    cli.run(main)

@@ -2,19 +2,15 @@
 
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
 from cophy import cli
-from cophy.config import CONF, experiments_of, to_config
+from cophy.config import experiments_of, to_config
 from cophy.dataset.experiment_set import FRAMES
-from cophy.schemas import DerenderConfig, register
-
-register()
+from cophy.schemas import DerenderConfig
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="derender")
-@cli.in_one_line
+@cli.command("derender")
 def main(cfg: DictConfig) -> None:
     from cophy.training.trained import (
         TrainedDerenderer,
@@ -32,8 +28,3 @@ def main(cfg: DictConfig) -> None:
     part, parts = settings.part, settings.parts
     needed = FRAMES[settings.frames]
     derender(chosen, derenderer, needed, part=part, parts=parts, workers=settings.workers)
-
-
-def run() -> None:
-    """The command, as `pip install` puts it on the PATH."""
-    cli.run(main)

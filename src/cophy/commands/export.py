@@ -2,19 +2,15 @@
 
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
 from cophy import cli
-from cophy.config import CONF, generated_by, to_config
+from cophy.config import generated_by, to_config
 from cophy.dataset import generation
-from cophy.schemas import ExportConfig, register
-
-register()
+from cophy.schemas import ExportConfig
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="export")
-@cli.in_one_line
+@cli.command("export")
 def main(cfg: DictConfig) -> None:
     from cophy.released.export import export
 
@@ -27,8 +23,3 @@ def main(cfg: DictConfig) -> None:
         if images is not None:
             generation.ensure(images, workers=settings.workers)
         export(states, images, root)
-
-
-def run() -> None:
-    """The command, as `pip install` puts it on the PATH."""
-    cli.run(main)

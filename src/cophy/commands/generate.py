@@ -2,23 +2,19 @@
 
 from collections.abc import Iterator
 
-import hydra
 from omegaconf import DictConfig
 
 from cophy import cli
-from cophy.config import CONF, generated_by, to_config
+from cophy.config import generated_by, to_config
 from cophy.dataset import generation
 from cophy.dataset.experiment_set import FRAMES
 from cophy.dataset.shards import ShardSet
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.schemas import GenerateConfig, register
-
-register()
+from cophy.schemas import GenerateConfig
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="generate")
-@cli.in_one_line
+@cli.command("generate")
 def main(cfg: DictConfig) -> None:
     settings = to_config(cfg, GenerateConfig)
     for states in generated_by(settings):
@@ -37,8 +33,3 @@ def asked_for(states: States, settings: GenerateConfig) -> Iterator[ShardSet]:
         yield states.frames(settings.render, FRAMES[settings.frames])
     if settings.model is not None:
         yield states.forecasts(settings.model.settings)
-
-
-def run() -> None:
-    """The command, as `pip install` puts it on the PATH."""
-    cli.run(main)

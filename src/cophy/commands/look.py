@@ -3,22 +3,19 @@
 import logging
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
 from cophy import cli
-from cophy.config import CONF, generated_by, to_config
+from cophy.config import generated_by, to_config
 from cophy.dataset import generation
 from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError
-from cophy.schemas import LookConfig, register
+from cophy.schemas import LookConfig
 
-register()
 log = logging.getLogger(__name__)
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="look")
-@cli.in_one_line
+@cli.command("look")
 def main(cfg: DictConfig) -> None:
     from cophy.drawing.overview import (
         write_contact_sheet,
@@ -51,8 +48,3 @@ def main(cfg: DictConfig) -> None:
         "every frame in AB/ and CD/, and background.png without objects",
         *(directory, num_experiments, settings.experiment, split),
     )
-
-
-def run() -> None:
-    """The command, as `pip install` puts it on the PATH."""
-    cli.run(main)

@@ -3,19 +3,16 @@
 import logging
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
 from cophy import cli
-from cophy.config import CONF, to_config
-from cophy.schemas import SCENARIOS, PredictConfig, register
+from cophy.config import to_config
+from cophy.schemas import SCENARIOS, PredictConfig
 
-register()
 log = logging.getLogger(__name__)
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="predict")
-@cli.in_one_line
+@cli.command("predict")
 def main(cfg: DictConfig) -> None:
     from cophy.drawing.counterfactual import write_counterfactual
     from cophy.drawing.files import read_frames
@@ -34,8 +31,3 @@ def main(cfg: DictConfig) -> None:
     write_counterfactual(directory, *predicted, observed=observed, truth=truth, background=background)
     names = [name for name, present in zip(scenario.colors, prediction.presence, strict=True) if present]
     log.info("%s: positions.csv, prediction.gif and strip.png; objects in C: %s", directory, ", ".join(names))
-
-
-def run() -> None:
-    """The command, as `pip install` puts it on the PATH."""
-    cli.run(main)

@@ -7,29 +7,25 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import hydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from cophy import cli
-from cophy.config import CONF, composed, generated_by, to_config
+from cophy.config import composed, generated_by, to_config
 from cophy.dataset.source import GENERATED
 from cophy.dataset.splits import Split
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.released.formats import FORMATS
 from cophy.scenario import Scenario
-from cophy.schemas import GenerateConfig, ReportConfig, TrainConfig, register
-
-register()
+from cophy.schemas import GenerateConfig, ReportConfig, TrainConfig
 
 # an override of a scenario or a size, as `DatasetSpec` has it; a file of answers may hold any text
 DATA_OVERRIDE = re.compile(r"\+\+(scenario|size)\.[\w.]+=[^${}]*")
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="report")
-@cli.in_one_line
+@cli.command("report")
 def main(cfg: DictConfig) -> None:
     from cophy.report.pipeline import Configurations, write_report  # matplotlib takes a second; --help does not need it
     from cophy.study.report import read_supplement
@@ -116,8 +112,3 @@ def _explained() -> Iterator[None]:
         yield
     except (HydraException, OmegaConfBaseException) as error:
         raise CophyError(cli.explain(error)) from error
-
-
-def run() -> None:
-    """Run the command `cophy-report`."""
-    cli.run(main)

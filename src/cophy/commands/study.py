@@ -5,22 +5,18 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
 from cophy import cli
-from cophy.config import CONF, generated_by, to_config
+from cophy.config import generated_by, to_config
 from cophy.dataset import generation
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.schemas import ACTIONS, StudyConfig, register
-
-register()
+from cophy.schemas import ACTIONS, StudyConfig
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="study")
-@cli.in_one_line
-def main(cfg: DictConfig) -> None:
+@cli.command("study")
+def run_study(cfg: DictConfig) -> None:
     config = to_config(cfg, StudyConfig)
     num_objects = config.num_objects or [config.split.test.num_objects]
     if len(num_objects) != 1:
@@ -63,8 +59,8 @@ def _run_action(config: StudyConfig, states: States) -> None:
         estimate_power(experiments)
 
 
-def run() -> None:
-    """Run the command, as `pip install` puts it on the PATH. Its first word may be an action: study.py export."""
+def main() -> None:
+    """Run the command. Its first word may be an action: study.py export."""
     if sys.argv[1:2] and sys.argv[1] in ACTIONS:
         sys.argv[1] = f"action={sys.argv[1]}"
-    cli.run(main)
+    run_study()

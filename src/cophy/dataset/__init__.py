@@ -1,18 +1,34 @@
-"""Datasets: which one is meant, how it is made and stored, whether it is sound, and how models are fed with it.
+"""Generated and released datasets: specification, shards on disk, splits, images, and batches for models.
 
-spec: `DatasetSpec`, the configuration that determines every byte of a generated dataset, and its name on disk.
-splits: which experiments train, validate and test, and the parts of them that `split=` asks for.
-source: from `source=`, `split=` and numbers of objects to sets of experiments, generated or released.
-generation: shards made by worker processes; resumable, and the same bytes however it is run.
-experiment_dataset: whole experiments as named tensors, for code of one's own.
-replay: scenes and do-operations of stored experiments, to be looked at or simulated again.
-state_features: what follows from stored states: outcomes, stable objects, visible axes.
-stored_towers: stored towers as statics sees them.
-difficulty: how hard each experiment is.
-store/: what is on disk: states, forecasts of the oracles, and how shards are written and read.
-pictures/: pictures of the states, all or those that are looked at, and what a de-renderer sees in them.
-cards/: what a dataset says of itself, to people and to programs.
-released/: datasets of others, read where they lie; and export in their format.
-audit/: is a dataset what it claims to be?
-feed/: what a model is fed.
+Public names are imported on first use; importing the package loads none of its modules.
 """
+
+from importlib import import_module
+from typing import Any
+
+_MODULES = {
+    "CounterfactualDataModule": "datamodules",
+    "DatasetSpec": "spec",
+    "ExperimentDataset": "experiment_dataset",
+    "FrameDataModule": "frames",
+    "Size": "spec",
+    "Source": "source",
+    "Split": "splits",
+    "States": "states",
+}
+__all__ = [
+    "CounterfactualDataModule",
+    "DatasetSpec",
+    "ExperimentDataset",
+    "FrameDataModule",
+    "Size",
+    "Source",
+    "Split",
+    "States",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -1,10 +1,21 @@
 """Baselines: copy C, copy B, the Interaction Network (IN) and the Neural Physics Engine (NPE)."""
 
+from enum import Enum
+
 import torch
 from torch import nn
 
-from cophy.errors import CophyError
-from cophy.models.layers import Appearance, PairwiseMLP, check_at_least, check_positive, mlp, pack, radius_graph, unpack
+from cophy.models.layers import (
+    Appearance,
+    PairwiseMLP,
+    check_at_least,
+    check_positive,
+    mlp,
+    pack,
+    parse_option,
+    radius_graph,
+    unpack,
+)
 from cophy.types import CONFOUNDERS, Inputs, Prediction, true_confounders
 
 
@@ -28,6 +39,12 @@ class CopyB(nn.Module):
         return Prediction(position, stable_logit=2 * stable.to(position.dtype) - 1)
 
 
+class ConfounderInput(Enum):
+    """Confounders that an interaction network can see: the true ones."""
+
+    ground_truth = "ground_truth"
+
+
 class InteractionNetwork(nn.Module):
     """Feedforward baselines IN and NPE, which see C and never AB (paper, appendix).
 
@@ -47,7 +64,7 @@ class InteractionNetwork(nn.Module):
         edge_layers: int,
         node_layers: int,
         radius: float | None,
-        confounders: str | None,
+        confounders: ConfounderInput | str | None,
         object_type: bool = False,
         pose: bool = False,
     ) -> None:
@@ -69,8 +86,8 @@ class InteractionNetwork(nn.Module):
         check_at_least(1, hidden_dim=hidden_dim, node_layers=node_layers)
         check_at_least(2, edge_layers=edge_layers)
         check_positive(radius=radius)
-        if confounders not in (None, "ground_truth"):
-            raise CophyError(f"model.confounders={confounders} must be ground_truth or null")
+        if confounders is not None:
+            parse_option(ConfounderInput, "confounders", confounders)
         self.radius, self.sees_confounders = radius, confounders is not None
         self.appearance = Appearance(object_type, pose)
         state_dim = 6 + len(CONFOUNDERS) * self.sees_confounders + self.appearance.width

@@ -42,7 +42,7 @@ class Derenderer(nn.Module):
     mean: Float[Tensor, "3"]
     deviation: Float[Tensor, "3"]
 
-    def __init__(self, *, slots: Sequence[str], resolution: int, width: int, readout: str) -> None:
+    def __init__(self, *, slots: Sequence[str], resolution: int, width: int, readout: Readout | str) -> None:
         """Build the network.
 
         Args:

@@ -32,8 +32,10 @@ def check_positive(**arguments: float | None) -> None:
             raise CophyError(f"model.{name}={value} must be positive")
 
 
-def parse_option(kind: type[Option], name: str, value: str) -> Option:
-    """Return the member of an enumeration with this value, or raise a CophyError that lists the valid ones."""
+def parse_option(kind: type[Option], name: str, value: Option | str) -> Option:
+    """Return the member of an enumeration that is this value or has it, or raise a CophyError that lists the valid ones."""
+    if isinstance(value, kind):
+        return value
     options = {option.value: option for option in kind}
     if value not in options:
         raise CophyError(f"model.{name}={value} must be one of {', '.join(options)}")

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cophy.config import composed
-from cophy.variants import LONGEST, variant
+from cophy.config import LONGEST, composed, variant
 from tests.commands import train
 
 PATIENT = "training.callbacks.early_stopping.patience=20"
@@ -15,7 +14,7 @@ PATIENT = "training.callbacks.early_stopping.patience=20"
 
 def variant_of(*overrides: str) -> str:
     config = composed("train", *overrides, return_hydra_config=True)
-    return variant(config, config.hydra.runtime.choices)
+    return variant(config, config.hydra)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""`--help` fits a screen, and says of the keys what the YAML's comments say."""
+"""`--help` fits a screen and shows the comments of the YAML."""
 
 import re
 import subprocess
@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from cophy.cli import meanings
+from cophy.cli import read_meanings
 from tests import commands
 from tests.conftest import ROOT
 
 MAX_LINES, WIDTH = 45, 100
-NAMED = {  # keys and choices that people look for
+NAMED = {  # keys and choices that users look for
     "train": ("scenario=blocktower", "split=", "model=cophynet", "ablation=full", "seed=0", "ckpt=null", "+table=",
-              "trainer.max_epochs=40", "sphere_to_cylinder", "gt_confounders", "hydra/launcher="),
+              "trainer.max_epochs=40", "sphere_to_cylinder", "gt_conmeaningsers", "hydra/launcher="),
     "generate": ("scenario=blocktower", "size=small", "num_objects=null", "workers=2", "parts=1"),
     "audit": ("scenario=blocktower", "replayed_pairs=20", "directory=outputs/audit/blocktower"),
     "report": ("outputs=outputs", "directory=outputs/report", "source=generated"),
@@ -37,12 +37,12 @@ def test_help_is_one_screen_of_keys_with_their_meaning_from_the_yaml(
         assert any(f" {name}" in line for line in lines), name
     assert "--cfg job" in lines[-1]
     assert not [line for line in lines if "$" in line]
-    listed, found = " ".join(" ".join(lines).partition("Keys:")[2].split()), meanings(command)
-    for key, meaning in found.items():
+    listed, meanings = " ".join(" ".join(lines).partition("Keys:")[2].split()), read_meanings(command)
+    for key, meaning in meanings.items():
         assert re.search(rf"{re.escape(key)}=\S+ {re.escape(meaning)}", listed), key
     yaml = (ROOT / "conf" / f"{command}.yaml").read_text()
-    assert found
-    assert all(meaning in yaml for meaning in found.values())
+    assert meanings
+    assert all(meaning in yaml for meaning in meanings.values())
 
 
 def test_help_shows_the_values_that_the_command_would_use() -> None:
@@ -58,7 +58,7 @@ def test_a_comment_is_a_meaning_and_a_reason(tmp_path: Path, monkeypatch: pytest
         'a: "#1" # what it is; ours: why\nb: 2 # ours: only why\nc: 3\nd:\n  e: [1, 2] # a list; paper Sec. 3\n'
         "# seldom changed\nf: 4 # hidden\n\ng: 5 # shown again\n"
     )
-    assert meanings("any") == {"a": "what it is", "d.e": "a list", "g": "shown again"}
+    assert read_meanings("any") == {"a": "what it is", "d.e": "a list", "g": "shown again"}
 
 
 def test_help_does_not_wait_for_torch() -> None:

@@ -124,5 +124,5 @@ def test_a_hydra_program_of_somebody_else_loads_data_and_goes_on(tiny_data: Path
 
 
 def test_a_resolution_of_released_clips_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CophyError, match="resolution=112: released clips are as large as they are"):
+    with pytest.raises(CophyError, match="resolution=112: released clips have their own"):
         cophy.load("balls", source="cophy", root=tmp_path, modalities=("rgb",), resolution=112, data_dir=tmp_path)
