@@ -1,19 +1,17 @@
-"""Experiments for predictors: makes what is missing, and holds all splits in memory.
+"""Data module of the predictors. It generates missing data and holds all splits in memory; batches are slices.
 
-Which items make up each batch, on each of the devices that share a run.
-
-The order in training follows from seed and epoch alone, so that a resumed training sees what an undisturbed one would have
-seen. A batch is shared among the devices: its size is that of a whole optimiser step.
-One split of experiments, whole in memory, batched by slicing.
+The order of training batches depends on seed and epoch alone, so that a resumed training sees the same batches as an
+uninterrupted one. A batch is divided among devices: its size is that of a whole optimiser step.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from typing import Any, NamedTuple
 
 import lightning as L
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.utils.data import BatchSampler, DataLoader, Dataset, DistributedSampler
@@ -26,11 +24,8 @@ from cophy.dataset.features import (
     DeclaredInputs,
     confounder_features,
     confounder_statistics,
-    frames_of,
-    frames_to_batch,
-    standardised,
-    with_appearance,
-    with_estimates,
+    reduce_to_frames,
+    to_batch,
 )
 from cophy.dataset.splits import SPLITS, Split
 from cophy.errors import CophyError
@@ -214,14 +209,28 @@ class CounterfactualDataModule(L.LightningDataModule):
         """Load all splits; confounders are standardised over the training one."""
         if hasattr(self, "train"):
             return
-        arrays = {each.id: self._load(each) for each in (self.train_set, self.test_set)}
-        chosen = {split: self._select(arrays, split) for split in SPLITS}
-        batches = {split: self._batch(chosen[split]) for split in SPLITS}
-        self._add_confounders(batches, chosen)
-        for split in self.estimated:
-            batches[split] = with_estimates(batches[split], chosen[split], self.scenario)
-        self.test_experiments = np.flatnonzero(self.split.test.select_split(arrays[self.test_set.id], "test"))
-        self.train, self.val, self.test = (CounterfactualDataset(batches[split]) for split in SPLITS)
+        stored = {experiments.id: self._load(experiments) for experiments in (self.train_set, self.test_set)}
+        arrays = {split: self._select(stored, split) for split in SPLITS}
+        features = {split: confounder_features(arrays[split]) for split in SPLITS}
+        self.knows_confounders = not any(values.isnan().any() for values in features.values())
+        if self.needs_confounders and not self.knows_confounders:
+            raise CophyError(
+                f"{self.train_set.directory} does not tell all true confounders, which this run needs: use other data"
+            )
+        statistics = confounder_statistics(features["train"], torch.from_numpy(arrays["train"]["presence"][:, 0]))
+        self.train, self.val, self.test = (
+            CounterfactualDataset(
+                to_batch(
+                    arrays[split],
+                    self.scenario,
+                    self.declared,
+                    statistics=statistics,
+                    estimated=split in self.estimated,
+                )
+            )
+            for split in SPLITS
+        )
+        self.test_experiments = np.flatnonzero(self.split.test.select_split(stored[self.test_set.id], "test"))
 
     def train_dataloader(self) -> DataLoader[Batch]:
         return self.train.shuffled(self.batch_size, seed=self.seed, share=Share.of(self.trainer))
@@ -233,6 +242,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         return self.test.in_order(self.batch_size, share=Share.of(self.trainer))
 
     def _select(self, arrays: dict[str, Arrays], split: str) -> Arrays:
+        """Return the arrays of the experiments of a split."""
         experiments, part = self._set_of(split), self.split.test if split == "test" else self.split.train
         stored = arrays[experiments.id]
         rows = part.select_split(stored, split)
@@ -240,33 +250,17 @@ class CounterfactualDataModule(L.LightningDataModule):
             raise CophyError(
                 f"split={self.split.name} leaves no {split} experiments of {experiments.id}: {experiments.remedy}"
             )
-        kept = np.flatnonzero(rows)
+        indices = np.flatnonzero(rows)
         if split == "train" and self.num_experiments is not None:
-            if self.num_experiments > len(kept):
-                raise CophyError(f"training.num_experiments={self.num_experiments}: there are {len(kept)} to train on")
-            kept = kept[: self.num_experiments]
-        return {name: array[kept] for name, array in stored.items()}
-
-    def _batch(self, arrays: Arrays) -> Batch:
-        return with_appearance(frames_to_batch(arrays, self.scenario), arrays, self.declared)
+            if self.num_experiments > len(indices):
+                raise CophyError(
+                    f"training.num_experiments={self.num_experiments}: there are {len(indices)} to train on"
+                )
+            indices = indices[: self.num_experiments]
+        return {name: array[indices] for name, array in stored.items()}
 
     def _set_of(self, split: str) -> ExperimentSet:
         return self.test_set if split == "test" else self.train_set
-
-    def _add_confounders(self, batches: dict[str, Batch], chosen: dict[str, Arrays]) -> None:
-        features = {split: confounder_features(chosen[split]) for split in SPLITS}
-        self.knows_confounders = not any(values.isnan().any() for values in features.values())
-        if self.needs_confounders and not self.knows_confounders:
-            raise CophyError(
-                f"{self.train_set.directory} does not tell all true confounders, which this run needs: use other data"
-            )
-        if not self.declared.confounders:
-            return
-        presence = {split: batches[split].inputs.observed_presence for split in SPLITS}
-        statistics = confounder_statistics(features["train"], presence["train"])
-        for split, batch in batches.items():
-            given = standardised(features[split], presence[split], statistics)
-            batches[split] = replace(batch, inputs=replace(batch.inputs, confounders=given))
 
     def _estimates(self, experiments: ExperimentSet) -> Estimates | None:
         """Those of a dataset, if one of the splits that are read from it is seen through them."""
@@ -276,7 +270,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         return Estimates(experiments, self.derenderer, TEST_INPUTS if seen == {"test"} else INPUTS)
 
     def _load(self, experiments: ExperimentSet) -> Arrays:
-        arrays = experiments.load(partial(frames_of, scenario=self.scenario))
+        arrays = experiments.load(partial(reduce_to_frames, scenario=self.scenario))
         estimates = self._estimates(experiments)
         if estimates is None:
             return arrays

@@ -1,9 +1,7 @@
-"""Arrays of experiments to tensors: what a model sees of them, and the truth.
+"""Convert stored arrays of experiments to batches of tensors: the inputs of a model, and the targets (`to_batch`).
 
-What follows from stored states: how objects are turned, which are stable, and what becomes of them.
-Which optional inputs the configuration of a model declares: all others never reach it.
-Object type and pose as numbers per object, for models that declare them.
-The true confounders as numbers per object, for models that are given or taught them.
+The first functions compute quantities from stored states, such as stability and whether a tower stands. Optional inputs
+(confounders, object types, poses) are filled only if the model declares them.
 """
 
 from collections.abc import Mapping
@@ -86,7 +84,7 @@ def _from_start(arrays: Arrays) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DeclaredInputs:
-    """The optional fields of `cophy.types.Inputs`, by name, and whether a model is given them."""
+    """Optional fields of `cophy.types.Inputs`: True for those that a model declares."""
 
     confounders: bool = False
     object_type: bool = False
@@ -94,7 +92,7 @@ class DeclaredInputs:
 
     @classmethod
     def of(cls, model: Mapping[str, Any]) -> "DeclaredInputs":
-        """What the keys of a model (conf/model/, or a checkpoint) declare; a model without such keys gets none of them."""
+        """Return the inputs that the keys of a model declare (conf/model/, or a checkpoint); by default none."""
         return cls(
             confounders=model.get("confounders") == "ground_truth",
             object_type=model.get("object_type") is True,
@@ -103,25 +101,9 @@ class DeclaredInputs:
 
     @property
     def not_derendered(self) -> str:
-        """The keys that ask for what objects look like, which no de-renderer estimates; empty where there are none."""
-        wanted = {"model.object_type=true": self.object_type, "model.pose=true": self.pose}
-        return " and ".join(key for key, given in wanted.items() if given)
-
-
-def with_appearance(batch: Batch, arrays: dict[str, np.ndarray], declared: DeclaredInputs) -> Batch:
-    """The batch with what the model declares of object types and poses.
-
-    Args:
-        batch: The experiments, with true positions.
-        arrays: The same, as they are stored.
-        declared: What the model sees of it.
-    """
-    inputs = replace(
-        batch.inputs,
-        object_type=object_types(arrays) if declared.object_type else None,
-        pose=poses(arrays) if declared.pose else None,
-    )
-    return replace(batch, inputs=inputs)
+        """The declared keys that no de-renderer estimates, joined by "and"; empty if there are none."""
+        keys = {"model.object_type=true": self.object_type, "model.pose=true": self.pose}
+        return " and ".join(key for key, declared in keys.items() if declared)
 
 
 def object_types(arrays: dict[str, np.ndarray]) -> Float[Tensor, "batch slots 3"]:
@@ -197,21 +179,55 @@ def standardised(
     return (features - mean) / deviation * presence[..., None]
 
 
-def to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
-    """Positions, presence and stability of experiments as they are stored; without confounders."""
-    return frames_to_batch(frames_of(arrays, scenario), scenario)
-
-
-def frames_of(arrays: dict[str, np.ndarray], scenario: Scenario) -> dict[str, np.ndarray]:
-    """What batches are made of: one of the states for each frame.
+def to_batch(
+    arrays: Arrays,
+    scenario: Scenario,
+    declared: DeclaredInputs | None = None,
+    *,
+    statistics: Statistics | None = None,
+    estimated: bool = False,
+) -> Batch:
+    """Return what a model sees of experiments, and the truth.
 
     Args:
-        arrays: Of experiments, as they are stored.
-        scenario: Says how fast frames follow each other, and what stable means.
+        arrays: as stored, or reduced by `reduce_to_frames`; with estimates, also the arrays of `estimated_inputs`.
+        declared: the optional inputs; none of them by default.
+        statistics: of the training set, to standardise confounders; needed where these are declared.
+        estimated: whether the model sees the estimates of a de-renderer instead of true positions.
+    """
+    declared = declared or DeclaredInputs()
+    if "stable" not in arrays:
+        arrays = reduce_to_frames(arrays, scenario)
+    true = _true_inputs(arrays)
+    confounders = None
+    if declared.confounders:
+        assert statistics is not None
+        confounders = standardised(confounder_features(arrays), true.observed_presence, statistics)
+    inputs = replace(
+        estimated_inputs(arrays, scenario) if estimated else true,
+        confounders=confounders,
+        object_type=object_types(arrays) if declared.object_type and not estimated else None,
+        pose=poses(arrays) if declared.pose and not estimated else None,
+    )
+    targets = Targets(
+        position=_positions(arrays, 1)[:, 1:],
+        stable=torch.from_numpy(arrays["stable"][:, 1]),
+        presence=true.presence,
+        initial=true.initial,
+        observed_presence=true.observed_presence,
+        confounder_class=confounder_classes(arrays, scenario.confounders),
+        pair=torch.from_numpy(arrays["twin"].astype(np.int64)),
+        cell=torch.from_numpy(arrays.get("cell", np.full(len(true), -1)).astype(np.int64)),
+    )
+    return Batch(inputs, targets)
+
+
+def reduce_to_frames(arrays: Arrays, scenario: Scenario) -> Arrays:
+    """Return the arrays with one state per frame, so that the other states need no memory.
 
     Returns:
-        The same but for `states` (experiment, 2, T, slot, 13), and with `stable` (experiment, 2, T-1, slot): whether an
-        object is slow in all states from one frame to the next.
+        The same arrays, but `states` is (experiment, 2, T, slot, 13), and `stable` (experiment, 2, T-1, slot) says whether
+        an object is slow in all states from one frame to the next.
     """
     stride, states = scenario.clock.states_per_frame, arrays["states"]
     stable = [stable_frames(states[:, sequence], stride, scenario.task.stable_speed) for sequence in (0, 1)]
@@ -219,31 +235,15 @@ def frames_of(arrays: dict[str, np.ndarray], scenario: Scenario) -> dict[str, np
     return arrays | {"states": states[:, :, ::stride].copy(), "stable": np.stack(stable, axis=1) & present}
 
 
-def frames_to_batch(arrays: dict[str, np.ndarray], scenario: Scenario) -> Batch:
-    """The same as `to_batch`, of what `frames_of` leaves of the arrays."""
-    inputs = _true_inputs(arrays)
-    targets = Targets(
-        position=_positions(arrays, 1)[:, 1:],
-        stable=torch.from_numpy(arrays["stable"][:, 1]),
-        presence=inputs.presence,
-        initial=inputs.initial,
-        observed_presence=inputs.observed_presence,
-        confounder_class=confounder_classes(arrays, scenario.confounders),
-        pair=torch.from_numpy(arrays["twin"].astype(np.int64)),
-        cell=torch.from_numpy(arrays.get("cell", np.full(len(inputs), -1)).astype(np.int64)),
-    )
-    return Batch(inputs, targets)
-
-
 def true_inputs(states: np.ndarray, presence: np.ndarray, scenario: Scenario) -> Inputs:
-    """AB and C as they were; D is not looked at.
+    """Return the true AB and C; D is not read.
 
     Args:
-        states: (experiment, 2, state, slot, 13) of AB and CD, as they are stored.
+        states: (experiment, 2, state, slot, 13) of AB and CD, as stored.
         presence: (experiment, 2, slot), which slots hold an object.
-        scenario: Says what stable means, and how fast frames follow each other.
+        scenario: defines the frame rate and the speed below which an object is stable.
     """
-    return _true_inputs(frames_of({"states": states, "presence": presence}, scenario))
+    return _true_inputs(reduce_to_frames({"states": states, "presence": presence}, scenario))
 
 
 def _true_inputs(arrays: dict[str, np.ndarray]) -> Inputs:
@@ -258,14 +258,14 @@ def _true_inputs(arrays: dict[str, np.ndarray]) -> Inputs:
 
 
 def estimated_inputs(estimates: dict[str, np.ndarray], scenario: Scenario) -> Inputs:
-    """AB and C as a de-renderer saw them.
+    """Return AB and C as estimated by a de-renderer.
 
-    An object is in AB if most frames of AB show it, and in CD if C shows it. It counts as stable where it moves from
-    frame to frame as slowly as stable objects do.
+    An object is present in AB if most frames of AB show it, and in CD if C shows it. It is stable where its displacement
+    between frames is below that of the scenario's stable speed.
 
     Args:
         estimates: `position` (experiment, 2, T, slot, 3) in metres, and `presence_logit` (experiment, 2, T, slot).
-        scenario: Says what stable means, and how fast frames follow each other.
+        scenario: defines the frame rate and the stable speed.
     """
     position, logit = (torch.from_numpy(estimates[name]) for name in ("position", "presence_logit"))
     observed_presence, presence = (logit[:, 0] > 0).float().mean(dim=1) > 0.5, logit[:, 1, 0] > 0
@@ -276,18 +276,6 @@ def estimated_inputs(estimates: dict[str, np.ndarray], scenario: Scenario) -> In
         initial=position[:, 1, 0] * presence[..., None],
         presence=presence,
     )
-
-
-def with_estimates(batch: Batch, estimates: dict[str, np.ndarray], scenario: Scenario) -> Batch:
-    """Replace what a model sees by what a de-renderer saw.
-
-    Args:
-        batch: Experiments with true positions; what is to be predicted stays the truth.
-        estimates: See `estimated_inputs`.
-        scenario: Likewise.
-    """
-    seen = estimated_inputs(estimates, scenario)
-    return replace(batch, inputs=replace(seen, confounders=batch.inputs.confounders))
 
 
 def _positions(arrays: dict[str, np.ndarray], sequence: int) -> Tensor:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from cophy.dataset.features import DeclaredInputs, object_types, poses, to_batch, with_appearance
+from cophy.dataset.features import DeclaredInputs, object_types, poses, to_batch
 from cophy.scenario import Shape
 from cophy.types import OBJECT_TYPES, POSE
 from tests.released.indexing import LISTS, load
@@ -76,9 +76,8 @@ def test_a_and_c_show_the_same_pose(tiny) -> None:
 
 def test_only_what_is_declared_is_among_the_inputs(tiny) -> None:
     spec, arrays = tiny
-    batch = to_batch(arrays, spec.scenario)
     for declared in (DeclaredInputs(), DeclaredInputs(pose=True), DeclaredInputs(object_type=True)):
-        inputs = with_appearance(batch, arrays, declared).inputs
+        inputs = to_batch(arrays, spec.scenario, declared).inputs
         assert (inputs.pose is not None) == declared.pose
         assert (inputs.object_type is not None) == declared.object_type
 

@@ -1,10 +1,18 @@
 """What a model sees of stored experiments, with true positions and with estimated ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
 from cophy.config import settings
-from cophy.dataset.features import to_batch, with_estimates
+from cophy.dataset.features import (
+    DeclaredInputs,
+    confounder_features,
+    confounder_statistics,
+    estimated_inputs,
+    to_batch,
+)
 from cophy.types import Batch
 
 
@@ -51,7 +59,7 @@ def estimates(batch: Batch, presence_logit: np.ndarray) -> dict[str, np.ndarray]
 
 
 def seen(batch: Batch, found: dict[str, np.ndarray]) -> Batch:
-    return with_estimates(batch, found, settings("train", "scenario=blocktower").scenario)
+    return replace(batch, inputs=estimated_inputs(found, settings("train", "scenario=blocktower").scenario))
 
 
 def test_estimates_replace_what_is_seen_and_nothing_of_what_is_asked(tower_batch: Batch) -> None:
@@ -61,9 +69,25 @@ def test_estimates_replace_what_is_seen_and_nothing_of_what_is_asked(tower_batch
     torch.testing.assert_close(found.inputs.initial, (inputs.initial + 0.125) * inputs.presence[..., None])
     expected = (inputs.observed[:, 7] + 0.125) * inputs.observed_presence[..., None]
     torch.testing.assert_close(found.inputs.observed[:, 7], expected)
-    for name in ("presence", "observed_presence", "confounders"):
+    for name in ("presence", "observed_presence"):
         torch.testing.assert_close(getattr(found.inputs, name), getattr(inputs, name))
-    assert found.targets is tower_batch.targets
+
+
+def test_estimates_change_neither_targets_nor_confounders(tiny) -> None:
+    spec, arrays = tiny
+    shape = (len(arrays["split"]), 2, spec.scenario.clock.num_frames, spec.scenario.num_slots)
+    zeros = {"position": np.zeros((*shape, 3), np.float32), "presence_logit": np.zeros(shape, np.float32)}
+    statistics = confounder_statistics(confounder_features(arrays), torch.from_numpy(arrays["presence"][:, 0]))
+    true, estimated = (
+        to_batch(
+            arrays | zeros, spec.scenario, DeclaredInputs(confounders=True), statistics=statistics, estimated=estimated
+        )
+        for estimated in (False, True)
+    )
+    assert not estimated.inputs.observed.any()
+    assert torch.equal(estimated.targets.position, true.targets.position)
+    assert torch.equal(estimated.targets.presence, true.targets.presence)
+    assert torch.equal(estimated.inputs.confounders, true.inputs.confounders)
 
 
 def test_presence_is_that_of_most_frames_in_ab_and_of_the_only_frame_in_c(tower_batch: Batch) -> None:
