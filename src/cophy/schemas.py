@@ -13,10 +13,12 @@ from typing import Any, Optional, Union, get_args, get_origin, get_type_hints
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
-from cophy.dataset.experiment_set import FRAMES, ORACLES, OracleSettings
+from cophy.dataset.experiment_set import FRAMES
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
+from cophy.oracles.forecasts import ORACLES, OracleSettings
+from cophy.released.states import ReleasedSource
 from cophy.report.paper_tables import register_tables
 from cophy.scenario import Balls, Blocktower, Collision, Scenario
 from cophy.scenario.rendering import RenderSettings
@@ -369,7 +371,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "scenario": {**SCENARIOS},
     "split": {"split": Split},
     "size": {"size": Size},
-    "source": {"source": Source},
+    "source": {"source": Source, "released": ReleasedSource},
     "render": {"render": RenderSettings},
     "model": {"oracle": OracleConfig},
 }

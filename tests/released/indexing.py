@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cophy.dataset.experiment_set import ExperimentSet
-from cophy.dataset.source import Source
+from cophy.released.states import ReleasedSource
 from tests.conftest import settings
 
 LISTS = {"train": ["0", "1"], "val": ["2"], "test": ["3"]}
@@ -15,7 +15,7 @@ LISTS = {"train": ["0", "1"], "val": ["2"], "test": ["3"]}
 def states(source: str, scenario: str, root: Path, split: str | None = None, num_objects: int | None = None) -> Any:
     """An index in `<root>-data`, not yet made."""
     chosen = settings("train", f"source={source}", f"scenario={scenario}", *([f"split={split}"] if split else []))
-    where = Source(source, "", str(root))
+    where = ReleasedSource(source, "", str(root))
     (found,) = where.experiment_sets(
         chosen.scenario,
         chosen.split,

@@ -12,10 +12,10 @@ import pytest
 
 from cophy.dataset import images
 from cophy.dataset.images import Images
-from cophy.dataset.source import Source
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.released.export import export
+from cophy.released.states import ReleasedSource
 from cophy.scenario.rendering import NO_OBJECT, Backend, Frames, RenderSettings
 from cophy.untrusted_files import count_frames
 from tests.conftest import SCENARIOS, settings, tiny_spec
@@ -71,7 +71,7 @@ def imported(name: str, root: Path, split: str | None = None) -> dict[str, np.nd
     config = settings("train", f"scenario={name}").scenario.confounders
     grid = [f"scenario.confounders.{key}={[float(v) for v in getattr(config, key)]}" for key in GRID]
     chosen = settings("train", "source=cophy", f"scenario={name}", *grid, *([f"split={split}"] if split else []))
-    (experiments,) = Source("cophy", "", str(root)).experiment_sets(
+    (experiments,) = ReleasedSource("cophy", "", str(root)).experiment_sets(
         chosen.scenario, chosen.split, [SCENARIOS[name]], size=chosen.size, data_seed=0, data_dir=root / "index"
     )
     return make(experiments).load()

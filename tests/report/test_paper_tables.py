@@ -8,7 +8,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from cophy.config import CONF
-from cophy.dataset.experiment_set import ORACLES
+from cophy.oracles.forecasts import ORACLES
 from cophy.report.paper_tables import PaperTable, methods, paper_tables
 from tests.commands import train
 

@@ -99,24 +99,6 @@ Reader = Callable[[int, int, int], np.ndarray]  # row of the arrays, sequence, t
 Pictures = Callable[[int], dict[str, np.ndarray]]  # row of the arrays -> both sequences, by modality
 
 
-ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual")  # docs/benchmark/oracles.md
-
-
-@dataclass(frozen=True)
-class OracleSettings:
-    """What the oracles are asked with, explained in conf/model/.
-
-    draws: of D where not all that could be is enumerated. max_configurations: how many configurations are tried on AB.
-    noise: how far every observed coordinate may be off, m. max_experiments: so many test experiments are asked about, the first
-    ones.
-    """
-
-    draws: int
-    max_configurations: int
-    noise: float
-    max_experiments: int
-
-
 class ExperimentSet(ShardSet):
     """Experiments of one scenario with one number of objects, as `load` returns them.
 
@@ -144,14 +126,6 @@ class ExperimentSet(ShardSet):
         Args:
             render: How they are drawn.
             needed: Which of them anybody looks at.
-        """
-
-    @abstractmethod
-    def forecasts(self, settings: OracleSettings) -> ShardSet:
-        """What the oracles say of the test experiments.
-
-        Raises:
-            CophyError: the data lack what a simulation starts from.
         """
 
     @abstractmethod

@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cophy.dataset.cards import write_card
-from cophy.dataset.experiment_set import ALL, ExperimentSet, NeededFrames, OracleSettings
+from cophy.dataset.experiment_set import ALL, ExperimentSet, NeededFrames
 from cophy.dataset.fields import experiment_fields, to_arrays
 from cophy.dataset.images import Images
 from cophy.dataset.shards import DamagedShardError, Fields, encode, read_format
 from cophy.dataset.spec import FORMAT_VERSION, DatasetSpec
 from cophy.dataset.splits import SPLITS
-from cophy.oracles.forecasts import OracleForecasts
 from cophy.scenario import Experiment, Shape, Simulator
 from cophy.scenario.rendering import RenderSettings
 
@@ -41,9 +40,6 @@ class States(ExperimentSet):
 
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> Images:
         return Images(self, render, needed)
-
-    def forecasts(self, settings: OracleSettings) -> OracleForecasts:
-        return OracleForecasts(self, self.spec, settings)
 
     def unseen_by(
         self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]

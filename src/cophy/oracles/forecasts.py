@@ -1,55 +1,83 @@
-"""What the oracles say of the first test experiments, in shards beside the states: it takes simulations, so it is kept."""
+"""Forecasts of the oracles for the first test experiments, stored in shards next to the states."""
 
 import hashlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cophy.dataset.experiment_set import ORACLES, ExperimentSet, OracleSettings
+from cophy.dataset.experiment_set import ExperimentSet
 from cophy.dataset.features import stable_frames
 from cophy.dataset.shards import Field, Fields, ShardSet, empty_arrays, encode
-from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, split_of_experiments
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.oracles.posterior import Hypotheses, posterior, resample
 from cophy.scenario import Scenario, Trajectory
 from cophy.scenario.simulator import RememberingSimulator
 
 VERSION = 2  # raise it when other hypotheses are tried
-USUAL_STABLE_SPEED = 0.1  # m/s, of every scenario (conf/scenario); what is said of another one lies apart
+USUAL_STABLE_SPEED = 0.1  # m/s, of every scenario (conf/scenario); forecasts at another one have their own directory
 STORED_PRECISION_M = 1e-4  # positions are stored with less error
 
 
+ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual")  # docs/benchmark/oracles.md
+
+
+@dataclass(frozen=True)
+class OracleSettings:
+    """Settings of the oracles, explained in conf/model/.
+
+    draws: samples of D where the possible outcomes are not enumerated. max_configurations: confounder configurations that
+    are fitted to AB. noise: assumed error of every observed coordinate, m. max_experiments: the number of test experiments,
+    counted from the first.
+    """
+
+    draws: int
+    max_configurations: int
+    noise: float
+    max_experiments: int
+
+
+def oracle_forecasts(experiments: ExperimentSet, settings: OracleSettings) -> "OracleForecasts":
+    """Return the forecasts for a generated dataset.
+
+    Raises:
+        CophyError: The data were released by others: they lack what a simulation starts from.
+    """
+    if not isinstance(experiments, States):
+        raise CophyError("oracles simulate generated data: released data lack what a simulation starts from")
+    return OracleForecasts(experiments, settings)
+
+
 class OracleForecasts(ShardSet):
-    """By each of ORACLES, for the first experiments of the test split: as many as the settings ask about.
+    """Forecasts of each of ORACLES for the first experiments of the test split, as many as the settings say.
 
     experiment: (experiment,) their indices in the dataset. <oracle>_position: (experiment, T-1, K, 3), the mean of D, metres.
     <oracle>_draw_variance: the same shape, the variance that this mean owes to the draws that it is of, m².
     <oracle>_stable: (experiment, T-1, K), the probability that an object is stable.
     """
 
-    spec: DatasetSpec
-
-    def __init__(self, states: ExperimentSet, spec: DatasetSpec, settings: OracleSettings) -> None:
-        self.spec, self.states, self.settings = spec, states, settings
-        asked = asdict(settings)
-        self.asked = {name: asked[name] for name in ("draws", "max_configurations", "noise")}
+    def __init__(self, states: States, settings: OracleSettings) -> None:
+        self.spec = spec = states.spec
+        self.states, self.settings = states, settings
+        values = asdict(settings)
+        self.content = {name: values[name] for name in ("draws", "max_configurations", "noise")}
         if (stable_speed := spec.scenario.task.stable_speed) != USUAL_STABLE_SPEED:
-            self.asked["stable_speed"] = stable_speed
-        if len(self._tested()) > settings.max_experiments:
-            self.asked["max_experiments"] = settings.max_experiments
-        text = json.dumps({"version": VERSION, **self.asked}, sort_keys=True)
+            self.content["stable_speed"] = stable_speed
+        if len(self._test_experiments()) > settings.max_experiments:
+            self.content["max_experiments"] = settings.max_experiments
+        text = json.dumps({"version": VERSION, **self.content}, sort_keys=True)
         name = f"oracles-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-        keys = " ".join(f"model.{key}={value}" for key, value in asked.items())
-        command = f"{states.command} model=oracle_feedforward {keys}"  # makes what all oracles say
+        keys = " ".join(f"model.{key}={value}" for key, value in values.items())
+        command = f"{states.command} model=oracle_feedforward {keys}"  # generates the forecasts of all oracles
         super().__init__(spec, states.directory / name, title=f"oracles of {states.title}", command=command)
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
-        """Simulate what could be, for every twin pair of the shard that is tested on."""
+        """Simulate possible outcomes of every twin pair of the shard's test experiments."""
         rows, fields = self._rows(shard), self.fields(shard)
         arrays, stored = self.states.read(shard), empty_arrays(fields)
         first = self.spec.experiments_of_shard(shard)[0]
@@ -58,8 +86,8 @@ class OracleForecasts(ShardSet):
             for index in range(0, len(rows), 2):
                 simulator.forget()  # twins share scenes, pairs do not
                 observed = self._observed(arrays, rows[index : index + 2])
-                for twin, found in enumerate(self._of_pair(int(first + rows[index]) // 2, observed, simulator)):
-                    for oracle, hypotheses in found.items():
+                for twin, by_oracle in enumerate(self._of_pair(int(first + rows[index]) // 2, observed, simulator)):
+                    for oracle, hypotheses in by_oracle.items():
                         for name, value in forecast_of(hypotheses, self.spec.scenario).items():
                             stored[f"{oracle}_{name}"][index + twin] = value
                 advance(2)
@@ -79,8 +107,8 @@ class OracleForecasts(ShardSet):
         return fields
 
     def description(self) -> dict[str, Any]:
-        """What was asked of the oracles."""
-        return {"dataset": self.spec.id, "version": VERSION, **self.asked}
+        """Return the dataset and the settings of the oracles."""
+        return {"dataset": self.spec.id, "version": VERSION, **self.content}
 
     def _of_pair(
         self, pair: int, observed: np.ndarray, simulator: RememberingSimulator
@@ -142,15 +170,18 @@ class OracleForecasts(ShardSet):
                 f"out otherwise. Delete it and run `{self.states.command}`"
             )
 
-    def _tested(self) -> np.ndarray:
-        """Indices of the test experiments in the dataset."""
+    def _test_experiments(self) -> np.ndarray:
+        """Return the indices of the test experiments in the dataset."""
         split = split_of_experiments(self.spec.num_experiments, self.spec.data_seed)
         return np.flatnonzero(split == SPLITS.index("test"))
 
     def _rows(self, shard: int) -> np.ndarray:
-        """Rows in a shard of what is asked about."""
-        asked, within = self._tested()[: self.settings.max_experiments], self.spec.experiments_of_shard(shard)
-        return asked[(asked >= within[0]) & (asked <= within[-1])] - within[0]
+        """Return the rows of a shard that have forecasts."""
+        indices, within = (
+            self._test_experiments()[: self.settings.max_experiments],
+            self.spec.experiments_of_shard(shard),
+        )
+        return indices[(indices >= within[0]) & (indices <= within[-1])] - within[0]
 
 
 def forecast_of(hypotheses: Hypotheses, scenario: Scenario) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ import torch
 from cophy.dataset import generation
 from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.errors import CophyError
-from cophy.oracles.forecasts import OracleSettings
+from cophy.oracles.forecasts import OracleSettings, oracle_forecasts
 from cophy.training.evaluation import evaluate, mse_of_copies
 from cophy.training.figures import NUM_SHOWN, Curves, DrawnPredictions
 from cophy.training.run import Claim, Measured, is_first, write_metrics, write_predictions
@@ -82,7 +82,7 @@ def forecast(data: CounterfactualDataModule, oracle: str, settings: OracleSettin
     Raises:
         CophyError: None of the split's test experiments is among those that the oracles are asked about.
     """
-    forecasts = data.test_set.forecasts(settings)
+    forecasts = oracle_forecasts(data.test_set, settings)
     generation.ensure(forecasts, workers=data.workers)
     stored = forecasts.load()
     chosen = np.flatnonzero(np.isin(stored["experiment"], data.test_experiments))

@@ -3,22 +3,25 @@
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import cv2
 import numpy as np
 
 from cophy.atomic_files import write_atomically
 from cophy.dataset import generation
-from cophy.dataset.experiment_set import ALL, Clip, ExperimentSet, NeededFrames, OracleSettings, Pictures, Reader
+from cophy.dataset.experiment_set import ALL, Clip, ExperimentSet, NeededFrames, Pictures, Reader
 from cophy.dataset.features import Arrays
 from cophy.dataset.fields import scene_fields
 from cophy.dataset.shards import Field, Fields, empty_arrays, encode
+from cophy.dataset.source import Source
+from cophy.dataset.spec import Size
 from cophy.dataset.splits import SPLITS, Split
 from cophy.errors import CophyError
-from cophy.released.formats import SEQUENCES
+from cophy.released.formats import FORMATS, SEQUENCES
 from cophy.released.recording import BrokenExperimentError, ReleasedFormat, to_row
 from cophy.released.spec import UNLISTED, Lists, ReleasedSpec, list_experiments, read_lists
 from cophy.scenario import Scenario
@@ -81,9 +84,6 @@ class ReleasedStates(ExperimentSet):
 
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> "ReleasedClips":
         return ReleasedClips(self, self.spec)
-
-    def forecasts(self, settings: OracleSettings) -> NoReturn:
-        raise CophyError("oracles simulate generated data: released data lack what a simulation starts from")
 
     def unseen_by(
         self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
@@ -272,3 +272,34 @@ class ReleasedClips:
                 yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
         finally:
             capture.release()
+
+
+@dataclass
+class ReleasedSource(Source):
+    """Source of a dataset that others released (conf/source/).
+
+    name: a key of `FORMATS`. root: folder of the dataset. splits: folder of its lists of ids; None if they are in `root`.
+    """
+
+    root: str | None = None
+    splits: str | None = None
+
+    def experiment_sets(
+        self,
+        scenario: Scenario,
+        split: Split,
+        num_objects: list[int] | None,
+        *,
+        size: Size,
+        data_seed: int,
+        data_dir: Path,
+        overrides: tuple[str, ...] = (),
+    ) -> list[ExperimentSet]:
+        split.check_scenario(scenario)
+        if self.root is None:
+            raise CophyError(f"source={self.name} needs source.root=, the folder that holds ballsCF, blocktowerCF, …")
+        root, lists = Path(self.root), None if self.splits is None else Path(self.splits)
+        return [
+            ReleasedStates(FORMATS[self.name], root, scenario, count, split=split, lists=lists, data_dir=data_dir)
+            for count in split.counts(num_objects)
+        ]

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from cophy.dataset import generation
-from cophy.dataset.experiment_set import ORACLES, OracleSettings
 from cophy.dataset.features import to_batch
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.oracles.forecasts import OracleForecasts
+from cophy.oracles.forecasts import ORACLES, OracleForecasts, OracleSettings, oracle_forecasts
 from tests.conftest import SCENARIOS, tiny_spec
 
 ASKED = OracleSettings(draws=4, max_configurations=16, noise=0.05, max_experiments=400)
@@ -24,7 +23,7 @@ def forecasts(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
     directory, found = tmp_path_factory.mktemp("forecasts"), {}
     shutil.copytree(tiny_data, directory, dirs_exist_ok=True)
     for name in SCENARIOS:
-        found[name] = States(tiny_spec(name), directory).forecasts(ASKED)
+        found[name] = oracle_forecasts(States(tiny_spec(name), directory), ASKED)
         generation.ensure(found[name], workers=1)
     return found
 
@@ -90,7 +89,7 @@ def test_what_is_stable_is_part_of_what_is_asked(forecasts) -> None:
     spec = replace(
         every.spec, scenario=replace(every.spec.scenario, task=replace(every.spec.scenario.task, stable_speed=0.5))
     )
-    other = States(spec, every.states.directory.parents[1]).forecasts(ASKED)
+    other = oracle_forecasts(States(spec, every.states.directory.parents[1]), ASKED)
     assert other.states.directory == every.states.directory
     assert other.directory != every.directory
 
@@ -98,7 +97,7 @@ def test_what_is_stable_is_part_of_what_is_asked(forecasts) -> None:
 def test_oracles_are_asked_about_the_first_test_experiments(forecasts, tmp_path: Path) -> None:
     every = forecasts["collision"]
     shutil.copytree(every.states.directory, tmp_path / "collision" / every.states.directory.name)
-    few = States(tiny_spec("collision"), tmp_path).forecasts(replace(ASKED, max_experiments=2))
+    few = oracle_forecasts(States(tiny_spec("collision"), tmp_path), replace(ASKED, max_experiments=2))
     assert few.directory.name != every.directory.name
     generation.ensure(few, workers=1)
     for name, array in few.load().items():
@@ -108,5 +107,5 @@ def test_oracles_are_asked_about_the_first_test_experiments(forecasts, tmp_path:
     done: list[int] = []
     few.write(tmp_path / "again.h5", asked.index(2), done.append)
     assert sum(done) == 2
-    enough = States(tiny_spec("collision"), tmp_path).forecasts(replace(ASKED, max_experiments=4000))
+    enough = oracle_forecasts(States(tiny_spec("collision"), tmp_path), replace(ASKED, max_experiments=4000))
     assert enough.directory.name == every.directory.name
