@@ -12,6 +12,7 @@ import numpy as np
 from cophy.dataset.experiment_set import ExperimentSet
 from cophy.dataset.features import stable_frames
 from cophy.dataset.shards import Field, Fields, ShardSet, empty_arrays, encode
+from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, split_of_experiments
 from cophy.dataset.states import States
 from cophy.errors import CophyError
@@ -60,6 +61,8 @@ class OracleForecasts(ShardSet):
     <oracle>_draw_variance: the same shape, the variance that this mean owes to the draws that it is of, m².
     <oracle>_stable: (experiment, T-1, K), the probability that an object is stable.
     """
+
+    spec: DatasetSpec
 
     def __init__(self, states: States, settings: OracleSettings) -> None:
         self.spec = spec = states.spec
