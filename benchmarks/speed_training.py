@@ -16,7 +16,6 @@ from torch.optim import Optimizer
 from cophy.config import composed, settings, to_plain
 from cophy.dataset.datamodules import CounterfactualDataset
 from cophy.models.cophynet import CoPhyNet
-from cophy.training.augmentation import matrices_of
 from cophy.training.checkpoints import build_network
 from cophy.training.losses import position_loss, stability_loss
 from cophy.training.predictor import PredictionModule
@@ -142,10 +141,7 @@ def whole_epochs(batch_size: int) -> list[float]:
 def lightning_module(model: CoPhyNet) -> PredictionModule:
     """As a run has it, towers of three."""
     chosen = settings("train")
-    augmentations = matrices_of(chosen.scenario, chosen.training.augmentation)
-    return PredictionModule(
-        model, chosen.training, chosen.scenario, augmentations=augmentations, missed_position=torch.zeros(3)
-    )
+    return PredictionModule(model, chosen.training, chosen.scenario)
 
 
 def quiet_trainer(directory: str) -> L.Trainer:

@@ -20,7 +20,7 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.models.baselines import CopyB, CopyC
 from cophy.scenario import Simulator
 from cophy.schemas import register
-from cophy.training.evaluation import evaluate
+from cophy.training.metrics import evaluate
 
 Arrays = dict[str, np.ndarray]
 Lines = Iterator[tuple[str, str]]  # name of a number, and the number

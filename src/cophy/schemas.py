@@ -30,6 +30,7 @@ from cophy.training.settings import Training
 class OracleConfig:
     """An oracle, see `cophy.oracles.run`: no network, so nothing is trained. The numbers: see conf/model/."""
 
+    _target_: str = "cophy.oracles.run.Oracle"
     oracle: str = MISSING
     draws: int = MISSING
     max_configurations: int = MISSING

@@ -5,6 +5,7 @@ from typing import Any
 
 import torch
 
+from cophy.training.predictor import prediction_arrays
 from cophy.training.run import write_predictions
 from cophy.types import Prediction, Targets
 from tests.report.lines import run
@@ -29,4 +30,4 @@ def leave(directory: Path, metrics: str | bytes, config: str = CONFIG, error: fl
         position, torch.ones(4, 5, 3, dtype=torch.bool), present, position[:, 0], present,
         torch.zeros(4, 3, 2, dtype=torch.long), torch.arange(4) // 2, torch.zeros(4, dtype=torch.long),
     )  # fmt: skip
-    write_predictions(directory, Prediction(position + error), targets)
+    write_predictions(directory, prediction_arrays(Prediction(position + error), targets))

@@ -16,7 +16,8 @@ from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States
 from cophy.report.difficulty import ALL, TITLES, draw, groups, mse_by_difficulty, page
 from cophy.report.predictions import read_stored_predictions
-from cophy.training.evaluation import evaluate
+from cophy.training.metrics import evaluate
+from cophy.training.predictor import prediction_arrays
 from cophy.training.run import write_predictions
 from cophy.types import Prediction
 from tests.conftest import tiny_spec
@@ -39,7 +40,7 @@ def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, 
     prediction = Prediction(targets.position + noise)
     directory = directory / f"seed{seed}"
     directory.mkdir()
-    write_predictions(directory, prediction, targets)
+    write_predictions(directory, prediction_arrays(prediction, targets))
     measured = {name: mean(values) for name, values in evaluate(prediction, targets, SPEC.scenario).items()}
     line = run("cophynet", seed=seed, size="tiny", directory=directory, dataset_ids=[SPEC.id], metric_dims=3)
     return line | measured | changes

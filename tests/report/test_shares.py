@@ -9,6 +9,7 @@ import torch
 
 from cophy.report.tables import Errors, share_of_gain, stored_errors
 from cophy.training.metrics import mean_squared_error
+from cophy.training.predictor import prediction_arrays
 from cophy.training.run import write_predictions
 from cophy.types import Batch, Prediction
 
@@ -20,7 +21,7 @@ def test_stored_errors_are_the_mse_of_each_experiment(
 ) -> None:
     position = tower_batch.inputs.observed[:, 1:]
     prediction = Prediction(position, draw_variance=None if variance is None else variance * torch.rand_like(position))
-    write_predictions(tmp_path, prediction, tower_batch.targets)
+    write_predictions(tmp_path, prediction_arrays(prediction, tower_batch.targets))
     found = stored_errors({"directory": tmp_path, "metric_dims": dims})
     expected = mean_squared_error(dims)(prediction, tower_batch.targets).numpy()
     np.testing.assert_allclose(found.mse, expected, rtol=1e-5, atol=1e-6)

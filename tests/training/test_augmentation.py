@@ -12,7 +12,7 @@ from cophy.dataset.features import confounder_statistics, poses, standardised
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.physics import Body, Scene, Shape, trajectory_distance
 from cophy.scenario.scenario import TURNS
-from cophy.training.augmentation import augment, disturb, matrices_of, transform
+from cophy.training.augmentation import add_position_noise, augment, matrices_of, transform
 from cophy.training.settings import Augmentation
 from cophy.types import HORIZONTAL, Batch, take
 from tests.conftest import SCENARIOS
@@ -169,22 +169,24 @@ def test_every_augmentation_is_drawn(tower_batch: Batch, scenario_of) -> None:
 
 def test_noise_is_as_large_as_asked_and_d_stays_true() -> None:
     batch = random_batch(4, [4] * 300, num_frames=20)
-    seen = disturb(batch, 0.1, (0, 1, 2))
+    seen = add_position_noise(batch, 0.1, (0, 1, 2))
     assert seen.targets is batch.targets
-    torch.testing.assert_close(disturb(batch, 0.1, (0, 1, 2)).inputs.observed, seen.inputs.observed)
+    torch.testing.assert_close(add_position_noise(batch, 0.1, (0, 1, 2)).inputs.observed, seen.inputs.observed)
     for draw in ((1, 1, 2), (0, 2, 2), (0, 1, 3)):
-        assert not torch.equal(disturb(batch, 0.1, draw).inputs.observed, seen.inputs.observed)
+        assert not torch.equal(add_position_noise(batch, 0.1, draw).inputs.observed, seen.inputs.observed)
     deviation = (seen.inputs.observed - batch.inputs.observed).std(dim=(1, 2, 3))
     assert 0.1 < deviation.max() < 0.12  # with an estimate's own spread
     assert 0.045 < deviation.mean() < 0.055
     assert deviation.min() < 0.01  # nearly true ones are among them
     absent = torch.zeros_like(batch.inputs.presence)
     some = replace(batch, inputs=replace(batch.inputs, presence=absent, observed_presence=absent))
-    assert torch.equal(disturb(some, 0.1, (0, 1, 2)).inputs.observed, batch.inputs.observed)  # empty slots stay zero
+    assert torch.equal(
+        add_position_noise(some, 0.1, (0, 1, 2)).inputs.observed, batch.inputs.observed
+    )  # empty slots stay zero
     off = seen.inputs.initial - batch.inputs.initial
     torch.testing.assert_close(off.std(), torch.tensor(0.1 / 3**0.5), rtol=0.1, atol=0)
     for device in range(2):
         half = take(batch, slice(device, None, 2))
         torch.testing.assert_close(
-            disturb(half, 0.1, (0, 1, 2), Share(2, device)).inputs.observed, seen.inputs.observed[device::2]
+            add_position_noise(half, 0.1, (0, 1, 2), Share(2, device)).inputs.observed, seen.inputs.observed[device::2]
         )

@@ -1,33 +1,33 @@
-"""How learning rates change."""
+"""Schedules of the learning rate."""
 
 import pytest
 from torch import nn
 from torch.optim import SGD
 from torch.optim.lr_scheduler import LambdaLR
 
-from cophy.training.settings import cosine_to_zero
+from cophy.training.optimisation import cosine_to_zero
 
 
 def rates(optimizer: SGD, schedule: LambdaLR, epochs: int) -> list[float]:
-    """Of the next epochs."""
-    found = []
+    """Return the learning rates of the next epochs."""
+    values = []
     for _ in range(epochs):
-        found.append(optimizer.param_groups[0]["lr"])
+        values.append(optimizer.param_groups[0]["lr"])
         optimizer.step()
         schedule.step()
-    return found
+    return values
 
 
-def begun(epochs: int) -> tuple[SGD, LambdaLR]:
+def start(epochs: int) -> tuple[SGD, LambdaLR]:
     optimizer = SGD(nn.Linear(1, 1).parameters(), lr=0.5)
     return optimizer, cosine_to_zero(optimizer, epochs)
 
 
-def test_a_longer_training_goes_on_at_its_own_rates() -> None:
-    shorter, longer = begun(4), begun(8)
+def test_a_longer_training_continues_at_its_own_rates() -> None:
+    shorter, longer = start(4), start(8)
     expected = rates(*longer, 8)
     assert rates(*shorter, 4)[-1] < expected[3]
-    optimizer, schedule = begun(8)
-    optimizer.load_state_dict(shorter[0].state_dict())  # in the order of Lightning
+    optimizer, schedule = start(8)
+    optimizer.load_state_dict(shorter[0].state_dict())  # in Lightning's order
     schedule.load_state_dict(shorter[1].state_dict())
     assert rates(optimizer, schedule, 4) == pytest.approx(expected[4:], abs=1e-12)

@@ -1,15 +1,32 @@
-"""How networks are trained and judged, and what comes out.
+"""Training, testing and using networks: stage 1 (de-renderers) and stage 2 (predictors of D).
 
-prediction_module: stage 2 under Lightning, a predictor of D; sums up the losses.
-derendering_module: stage 1 under Lightning, a de-renderer.
-losses: the terms of the training loss (paper Sec. 4.2).
-augmentation: training experiments, turned, mirrored and seen less exactly.
-optimisation: the optimiser, and its learning rate over time.
-settings: the key `training` of the configuration.
-model_contract: what a network has to return.
-curves: how TensorBoard names runs and values.
-callbacks/: what a training shows and says on its way.
-measures/: how predictions are judged.
-runs/: one run, from data and network to its results.
-trained/: checkpoints, and what is done with them.
+Public names are imported on first use: `from cophy.training import PredictionModule`.
 """
+
+from importlib import import_module
+from typing import Any
+
+_MODULES = {
+    "DerenderingModule": "derenderer",
+    "PredictionModule": "predictor",
+    "Run": "run",
+    "TrainedDerenderer": "trained",
+    "TrainedPredictor": "trained",
+    "evaluate": "metrics",
+    "make_trainer": "trainer",
+}
+__all__ = [
+    "DerenderingModule",
+    "PredictionModule",
+    "Run",
+    "TrainedDerenderer",
+    "TrainedPredictor",
+    "evaluate",
+    "make_trainer",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -1,4 +1,4 @@
-"""Every training experiment, turned and mirrored at random as the physics of its scenario allows, and seen less exactly."""
+"""Augmentation of training experiments: rotations and reflections that the scenario's physics allows, and position noise."""
 
 from dataclasses import replace
 
@@ -14,20 +14,20 @@ from cophy.types import HORIZONTAL, POSE_ANGLES, Batch
 
 
 def matrices_of(scenario: Scenario, augmentation: Augmentation) -> np.ndarray:
-    """(matrix, 2, 2) on (x, y), by one of which each training experiment is turned; the first is the identity."""
+    """Return the (matrix, 2, 2) rotations and reflections of (x, y) to choose from; the first is the identity."""
     if augmentation is Augmentation.physics:
         return scenario.augmentations()
     return scenario.symmetries()[: None if augmentation is Augmentation.symmetries else 1]
 
 
 def augment(batch: Batch, matrices: Float[Tensor, "matrix 2 2"], draw: tuple[int, ...], share: Share = ALONE) -> Batch:
-    """Apply to each experiment one of the matrices, drawn at random.
+    """Apply a random matrix to each experiment.
 
     Args:
         batch: This device's share of the experiments of a step.
         matrices: See `matrices_of`.
-        draw: The choice follows from it alone: seed, epoch and step, so that a resumed training makes the same one.
-        share: Of this device.
+        draw: Seed, epoch and step, which determine the choice, so that a resumed training repeats it.
+        share: This device's share of the batch.
     """
     rng = np.random.default_rng(draw)
     choice = rng.integers(len(matrices), size=share.devices * len(batch))[share.rank :: share.devices]
@@ -35,7 +35,7 @@ def augment(batch: Batch, matrices: Float[Tensor, "matrix 2 2"], draw: tuple[int
 
 
 def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:
-    """The batch in other coordinates: each matrix acts on x and y of AB, C, D, confounders and poses alike."""
+    """Change coordinates: each matrix acts on x and y of AB, C, D, confounders and poses alike."""
     inputs, targets = batch.inputs, batch.targets
     turned = replace(inputs, observed=_turned(inputs.observed, matrices), initial=_turned(inputs.initial, matrices))
     if inputs.confounders is not None:
@@ -46,30 +46,27 @@ def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:
     return Batch(turned, truth)
 
 
-def disturb(batch: Batch, most: float, draw: tuple[int, ...], share: Share = ALONE) -> Batch:
-    """The batch with positions of AB and C about as inexact as a de-renderer's: every coordinate in every frame is off.
-
-    All are off independently of each other. D, presence and what is said about stability stay true.
+def add_position_noise(batch: Batch, max_std: float, draw: tuple[int, ...], share: Share = ALONE) -> Batch:
+    """Add Gaussian noise to the positions of AB and C, independently per coordinate; D, presence and stability stay true.
 
     Args:
         batch: This device's share of the experiments of a step.
-        most: Largest standard deviation of a coordinate, metres. That of each experiment is drawn between 0 and this, so
-            that nearly true positions are among what is seen.
-        draw: As that of `augment`.
-        share: Of this device.
+        max_std: Largest standard deviation, metres. That of each experiment is drawn uniformly between 0 and this.
+        draw: Seed, epoch and step, as for `augment`.
+        share: This device's share of the batch.
     """
-    rng, inputs = np.random.default_rng((*draw, len(draw))), batch.inputs  # other numbers than those of `augment`
-    deviation = rng.uniform(0, most, share.devices * len(batch)).astype(np.float32)
+    rng, inputs = np.random.default_rng((*draw, len(draw))), batch.inputs  # another stream than that of `augment`
+    deviation = rng.uniform(0, max_std, share.devices * len(batch)).astype(np.float32)
 
-    def off(
+    def noisy(
         position: Float[Tensor, "batch *any 3"], presence: Bool[Tensor, "batch *any"]
     ) -> Float[Tensor, "batch *any 3"]:
         shape = (len(deviation), *position.shape[1:])
         noise = rng.standard_normal(shape, dtype=np.float32) * deviation.reshape(-1, *[1] * (len(shape) - 1))
         return position + torch.from_numpy(noise[share.rank :: share.devices]).to(position) * presence[..., None]
 
-    observed = off(inputs.observed, inputs.observed_presence[:, None].expand(inputs.observed.shape[:-1]))
-    return replace(batch, inputs=replace(inputs, observed=observed, initial=off(inputs.initial, inputs.presence)))
+    observed = noisy(inputs.observed, inputs.observed_presence[:, None].expand(inputs.observed.shape[:-1]))
+    return replace(batch, inputs=replace(inputs, observed=observed, initial=noisy(inputs.initial, inputs.presence)))
 
 
 def _turned(
@@ -99,9 +96,9 @@ def _turned_pose(
 
 
 def _doubled(matrices: Float[Tensor, "batch 2 2"]) -> Float[Tensor, "batch 2 2"]:
-    """What turns (cos 2ψ, sin 2ψ) as the given matrices turn (cos ψ, sin ψ): by twice the angle, mirrored alike."""
+    """Return the matrices that act on (cos 2ψ, sin 2ψ) when the given ones act on (cos ψ, sin ψ)."""
     (cos, sin), (other_cos, other_sin) = matrices[:, :, 0].unbind(1), matrices[:, :, 1].unbind(1)
-    mirrored = cos * other_sin - sin * other_cos  # the determinant: 1, or -1 where it mirrors
+    mirrored = cos * other_sin - sin * other_cos  # the determinant: 1, or -1 for a reflection
     cos_twice, sin_twice = cos.square() - sin.square(), 2 * cos * sin
     first, second = (cos_twice, sin_twice), (-mirrored * sin_twice, mirrored * cos_twice)
     return torch.stack([torch.stack(column, dim=-1) for column in (first, second)], dim=-1)

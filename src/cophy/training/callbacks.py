@@ -1,10 +1,4 @@
-"""How long a training took, and in a log how far it is.
-
-The checkpoints of a run: the best one, and the last one.
-The validation metrics of the best epoch.
-How large gradients are.
-What happens when a training is stopped.
-"""
+"""Callbacks of a training: checkpoints, best validation metrics, gradient norm, progress, what happens when it is stopped."""
 
 import logging
 import math
@@ -16,13 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
-from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.callbacks import ModelCheckpoint, ModelSummary
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 from torch import Tensor
 from torch.nn.utils import get_total_norm
 from torch.optim import Optimizer
 
 log = logging.getLogger(__name__)
+
+LOG_EVERY_S = 30.0  # ours: the log of a training of minutes or hours stays readable
 
 
 class BestCheckpoint(ModelCheckpoint):
@@ -47,10 +43,10 @@ class LastCheckpoint(ModelCheckpoint):
 
 
 class BestValidation(L.Callback):
-    """Remembers the validation metrics of the epoch with the best val/mse, whose weights are tested.
+    """Keeps the validation metrics of the epoch with the best val/mse, across resumption.
 
     Args:
-        checkpoint: Of that epoch. Where it is gone, so are its metrics.
+        checkpoint: The checkpoint of that epoch; without it the metrics are not restored.
     """
 
     def __init__(self, checkpoint: Path) -> None:
@@ -58,9 +54,9 @@ class BestValidation(L.Callback):
         self.metrics: dict[str, float] = {}
 
     def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        found = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
-        if not trainer.sanity_checking and found["val/mse"] < self.metrics.get("val/mse", math.inf):
-            self.metrics = found
+        metrics = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
+        if not trainer.sanity_checking and metrics.get("val/mse", math.inf) < self.metrics.get("val/mse", math.inf):
+            self.metrics = metrics
 
     def state_dict(self) -> dict[str, Any]:
         return self.metrics
@@ -70,67 +66,76 @@ class BestValidation(L.Callback):
 
 
 class GradientNorm(L.Callback):
-    """Logs the norm of all gradients together before they are clipped, averaged over the steps of an epoch."""
+    """Logs the total norm of all gradients before clipping, averaged over the steps of an epoch."""
 
     def on_before_optimizer_step(self, trainer: L.Trainer, pl_module: L.LightningModule, optimizer: Optimizer) -> None:
         norm = get_total_norm([each.grad for each in pl_module.parameters() if each.grad is not None])
         pl_module.log("train/gradient_norm", norm, on_step=False, on_epoch=True, batch_size=1, sync_dist=True)
 
 
-class StopTogether(L.Callback):
-    """How SIGTERM ends a training: on one device as Lightning does, on several in all processes after the same batch.
+class NetworkSize(ModelSummary):
+    """Logs the number of trained parameters in one line."""
 
-    Lightning's own handler makes the processes meet wherever the signal finds them; one may be inside another meeting.
-    On a cluster, submitit ignores SIGTERM and waits for the signal that queues the job again: that stays so.
+    def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        if trainer.is_global_zero:
+            count = sum(each.numel() for each in pl_module.parameters() if each.requires_grad)
+            log.info("%s: %s trainable parameters", type(pl_module.network).__name__, f"{count:,}")
+
+
+class StopTogether(L.Callback):
+    """On SIGTERM, ends training on several devices in all processes after the same batch.
+
+    Lightning's own handler synchronises the processes wherever the signal arrives, perhaps inside another synchronisation.
+    On one device Lightning's handler stays. On a cluster, submitit's stays: it ignores SIGTERM and waits for the signal that
+    requeues the job.
     """
 
     def __init__(self) -> None:
-        self.of_submitit = signal.getsignal(signal.SIGTERM) if "SUBMITIT_EXECUTOR" in os.environ else None
-        self.asked = False
+        self.submitit_handler = signal.getsignal(signal.SIGTERM) if "SUBMITIT_EXECUTOR" in os.environ else None
+        self.received = False
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        if self.of_submitit is not None:
-            signal.signal(signal.SIGTERM, self.of_submitit)
+        if self.submitit_handler is not None:
+            signal.signal(signal.SIGTERM, self.submitit_handler)
         elif trainer.world_size > 1:
-            signal.signal(signal.SIGTERM, lambda signum, frame: setattr(self, "asked", True))
+            signal.signal(signal.SIGTERM, lambda signum, frame: setattr(self, "received", True))
 
     def on_train_batch_start(
         self, trainer: L.Trainer, pl_module: L.LightningModule, batch: Any, batch_idx: int
     ) -> None:
-        if trainer.world_size > 1 and trainer.strategy.reduce_boolean_decision(self.asked, all=False):
+        if trainer.world_size > 1 and trainer.strategy.reduce_boolean_decision(self.received, all=False):
             raise SIGTERMException
 
 
 class ResumeHint(L.Callback):
-    """Say how to go on when training stops early."""
+    """Logs how to continue when training stops early."""
 
     def __init__(self, checkpoint: Path) -> None:
         self.checkpoint = checkpoint
 
     def on_exception(self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException) -> None:
         if self.checkpoint.exists():
-            log.warning("stopped in epoch %d: the same command goes on from %s", trainer.current_epoch, self.checkpoint)
+            log.warning(
+                "stopped in epoch %d: run the same command to continue from %s", trainer.current_epoch, self.checkpoint
+            )
         else:
             log.warning("stopped in epoch %d, before the first checkpoint", trainer.current_epoch)
 
 
-TOLD_EVERY_S = 30.0  # ours: a log of minutes or hours stays readable
-
-
 class Stopwatch(L.Callback):
-    """Counts the seconds of a training, those before it was stopped included. Where no bar is seen, it logs the progress.
+    """Measures the seconds of a training across resumption, and logs progress if there is no progress bar.
 
     Args:
-        title: Of the run, for the log.
+        title: The run's name in the log.
     """
 
     def __init__(self, title: str) -> None:
         self.title, self._before, self._start = title, 0.0, time.monotonic()
-        self._told = self._start
+        self._last_log = self._start
 
     @property
     def seconds(self) -> float:
-        """So far."""
+        """Seconds so far."""
         return self._before + time.monotonic() - self._start
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
@@ -138,13 +143,13 @@ class Stopwatch(L.Callback):
 
     def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         has_bar = trainer.progress_bar_callback is not None and sys.stdout.isatty()
-        if has_bar or not trainer.is_global_zero or time.monotonic() - self._told < TOLD_EVERY_S:
+        if has_bar or not trainer.is_global_zero or time.monotonic() - self._last_log < LOG_EVERY_S:
             return
-        self._told = time.monotonic()
-        last = f" of {trainer.max_epochs}" if (trainer.max_epochs or -1) > 0 else ""
+        self._last_log = time.monotonic()
+        total = f" of {trainer.max_epochs}" if (trainer.max_epochs or -1) > 0 else ""
         mse = float(trainer.callback_metrics.get("val/mse", float("nan")))
-        done = trainer.current_epoch + 1
-        log.info("%s: epoch %d%s, val/mse %.4f, %.0f s", self.title, done, last, mse, self.seconds)
+        epoch = trainer.current_epoch + 1
+        log.info("%s: epoch %d%s, val/mse %.4f, %.0f s", self.title, epoch, total, mse, self.seconds)
 
     def state_dict(self) -> dict[str, Any]:
         return {"seconds": self.seconds}

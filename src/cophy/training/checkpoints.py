@@ -1,144 +1,67 @@
-"""Whether a training may go on from a checkpoint, or be spared by one: only with the settings that its weights came from.
+"""Checkpoints of train.py: written whole or not at all, read without running code from them, compared with a configuration.
 
-What a checkpoint says of itself: the plain values of a configuration, and not too many.
-Checkpoints of train.py: written whole or not at all, and read without running code from them.
-A network from the name of its class and its arguments (conf/model/).
+A checkpoint stores under the key `origin` the configuration of its training as plain values (`make_origin`). It may come
+from anybody: its size is limited, its checksums are compared, and its values are checked before anything is built from them.
 """
 
+import importlib
+import inspect
 import io
-import math
 import pickle
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import torch
-from hydra.errors import InstantiationException
-from hydra.utils import get_class, instantiate
 from lightning.fabric.plugins.io.checkpoint_io import CheckpointIO
-from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor, nn
 
 from cophy.atomic_files import write_atomically
 from cophy.errors import CophyError
 
-# ours: an origin has some 200 values, 4 levels deep, and no text that is longer than a path
-MAX_VALUES, MAX_DEPTH, MAX_TEXT = 100_000, 10, 4096
-MAX_BITS = 63
-
-
-def check_plain(tree: Any) -> None:
-    """Refuse what no configuration holds, such as other types, references, and what contains itself.
-
-    Raises:
-        ValueError: There is such a value; the message says which.
-    """
-    level = [tree]
-    for _ in range(MAX_DEPTH):
-        inner: list[Any] = []
-        for value in level:
-            inside = _inside(value)
-            if len(inner) + len(inside) > MAX_VALUES:
-                raise ValueError(f"it says more than {MAX_VALUES:,} values of itself")
-            inner += inside
-        if not inner:
-            return
-        level = inner
-    raise ValueError(f"it says values of itself that are nested more than {MAX_DEPTH} deep, or contain themselves")
-
-
-def _inside(value: Any) -> list[Any]:
-    """What a value holds; only dictionaries and lists hold others."""
-    if isinstance(value, dict):
-        if odd := [key for key in value if not isinstance(key, str)]:
-            raise ValueError(f"a key of {type(odd[0]).__name__} is no name")
-        return [*value, *value.values()]
-    if isinstance(value, list):
-        return value
-    if isinstance(value, str):
-        _check_text(value)
-    elif value is not None and not isinstance(value, bool | int | float):
-        raise ValueError(f"a {type(value).__name__} is no value of a configuration")
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{value} is no finite number")
-    elif isinstance(value, int) and value.bit_length() > MAX_BITS:
-        raise ValueError(f"a number of {value.bit_length()} bits is too large")
-    return []
-
-
-def _check_text(text: str) -> None:
-    if len(text) > MAX_TEXT or not text.isprintable():
-        raise ValueError(f"a text of {len(text)} characters is too long, or not all of them can be printed")
-    if "${" in text:  # OmegaConf would resolve it: to other keys, and to what the environment holds
-        raise ValueError(f"{text} is a reference, whose value it has to say instead")
-
-
-ORIGIN = "origin"  # the key under which a checkpoint says what it is
-MAX_BYTES = 4 << 30  # ours: a predictor has a megabyte, the paper's de-renderer some hundred
-OF_NETWORK = "network."  # how the names of the network's weights start
-# classes and functions that earlier versions had elsewhere, as their checkpoints name them
-MOVED = {
-    "cophy.models.alongside.alongside.Alongside": "cophy.models.alongside.Alongside",
-    "cophy.training.optimisation.constant": "cophy.training.settings.constant",
-    "cophy.training.optimisation.cosine_to_zero": "cophy.training.settings.cosine_to_zero",
+ORIGIN = "origin"  # the key of a checkpoint for the configuration of its training
+KEYS: dict[str, tuple[type, ...]] = {  # of an origin, with their types
+    **dict.fromkeys(("model", "training", "scenario", "split", "size", "render"), (dict,)),
+    "data_seed": (int,),
+    "positions": (str,),
+    "num_objects": (list, NoneType),
+    "trained_on": (list,),
+    "seed": (int, NoneType),
+    "trainer": (dict,),
 }
-# what is raised where values do not fit; anything else is a fault of the code, or of the machine
-MISFITS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
-ERRORS = (*MISFITS, pickle.UnpicklingError, EOFError, MemoryError)  # of what torch cannot read
-MAX_CHARACTERS = 300  # of what is said of an error
-
-
-@dataclass(frozen=True)
-class Origin:
-    """What a checkpoint was trained as: parts of the run's configuration, as plain values.
-
-    Attributes:
-        model: Class (`_target_`) and arguments of the network.
-        training: How it was optimised, see `cophy.training.settings`.
-        scenario: Keys of the scenario.
-        split: Keys of the split.
-        size: Keys of the size.
-        data_seed: Of the dataset.
-        positions: Which positions it saw: true ones, or those that a de-renderer estimates.
-        num_objects: Of the images of a de-renderer; None for those that the split names.
-        render: Of these images.
-        trained_on: What the training batches were a function of, as the datamodule says.
-        seed: Of the training; None in checkpoints of earlier versions.
-        trainer: Arguments of `lightning.Trainer` that weights depend on; empty in checkpoints of earlier versions.
-    """
-
-    model: dict[str, Any]
-    training: dict[str, Any]
-    scenario: dict[str, Any]
-    split: dict[str, Any]
-    size: dict[str, Any]
-    data_seed: int
-    positions: str
-    num_objects: list[int] | None
-    render: dict[str, Any]
-    trained_on: list[Any]
-    seed: int | None = None
-    trainer: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        parts = (self.model, self.training, self.scenario, self.split, self.size, self.render, self.trainer)
-        for part in parts:
-            if not isinstance(part, dict):
-                raise TypeError(f"{part} is no dictionary")
-        if not isinstance(self.num_objects, list | None) or not isinstance(self.trained_on, list):
-            raise TypeError("num_objects or trained_on is no list")
-        self.model["_target_"], self.scenario["name"], self.split["name"]
+LATER_KEYS: dict[str, Any] = {"seed": None, "trainer": {}}  # that earlier versions did not store
+MAX_FILE_BYTES = 4 << 30  # ours: a predictor has a megabyte, the paper's de-renderer some hundred
+MAX_VALUES, MAX_DEPTH = 100_000, 10  # ours: an origin has some 200 values, 4 levels deep
+MAX_SIZE = 1 << 14  # ours: layers as wide as this do not fit into a checkpoint of 4 GiB, and nothing is so deep
+NETWORK = "network."  # prefix of the names of the network's weights
+MOVED = {  # classes that earlier versions had elsewhere, as their checkpoints name them
+    "cophy.models.alongside.alongside.Alongside": "cophy.models.alongside.Alongside",
+}
+MODELS = "cophy.models."  # the only modules that are imported because a checkpoint names them
+# what torch raises for bytes that are no checkpoint
+LOADING_ERRORS = (
+    *(ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError),
+    *(pickle.UnpicklingError, EOFError, MemoryError),
+)
+# without effect on weights, or allowed to change when a training continues
+NO_EFFECT = {"scenario.task.splits"}
+MAY_CHANGE = {
+    *("trainer.max_epochs", "trainer.max_time", "split.epochs_factor", "trainer.fast_dev_run"),
+    *("trainer.limit_val_batches", "trainer.check_val_every_n_epoch"),
+}
+GROUPS = ("scenario", "size")  # named in messages by their choice instead of each key
+MAX_NAMED = 3  # settings in a message
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What is read of a checkpoint: its origin, the weights of the network, and whether a training can go on from it."""
+    """Contents of a checkpoint: origin, weights of the network, and whether a training can continue from it."""
 
-    origin: Origin
+    origin: dict[str, Any]
     weights: dict[str, Tensor]
     has_optimizer: bool
 
@@ -146,34 +69,32 @@ class Checkpoint:
 class WholeCheckpoints(CheckpointIO):
     """Writes checkpoints whole or not at all, reads local files only, and removes nothing but a run's own checkpoints.
 
-    Lightning's own writes through /tmp, where a full disk truncates, and follows the addresses that a checkpoint names.
-    torch stores checksums but does not compare them: a damaged file is refused here.
+    Lightning's own class writes through /tmp, where a full disk truncates, and opens the addresses that a checkpoint names.
 
     Args:
-        origin: What is trained; it is stored in every checkpoint.
+        origin: Stored in every checkpoint.
         directory: The run's checkpoints, the only files that may be removed.
     """
 
-    def __init__(self, origin: Origin, directory: Path) -> None:
+    def __init__(self, origin: dict[str, Any], directory: Path) -> None:
         self.origin, self.directory = origin, directory
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         content = io.BytesIO()
-        torch.save(checkpoint | {ORIGIN: asdict(self.origin)}, content)
+        torch.save(checkpoint | {ORIGIN: self.origin}, content)
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         write_atomically(Path(path), content.getvalue())
 
     def load_checkpoint(self, path: Any, map_location: Any = None, weights_only: bool | None = None) -> dict[str, Any]:
         """Return the checkpoint without the state of ModelCheckpoint callbacks, whose paths may be anybody's."""
-        content = read_bytes(Path(path))
-        check_whole(content, Path(path))
-        try:
-            checkpoint = torch.load(io.BytesIO(content), map_location=map_location, weights_only=True)
-            for key in [key for key in checkpoint.get("callbacks", {}) if key.startswith("ModelCheckpoint")]:
-                del checkpoint["callbacks"][key]
-        except ERRORS as error:
-            raise CophyError(f"{path} is no checkpoint of train.py, or a damaged one") from error
-        return dict(checkpoint)
+        checkpoint = _load(read_bytes(Path(path)), Path(path), map_location)
+        callbacks = checkpoint.get("callbacks", {})
+        if not isinstance(callbacks, dict):
+            raise CophyError(f"{path} is not a checkpoint of train.py")
+        return {
+            **checkpoint,
+            "callbacks": {key: each for key, each in callbacks.items() if not str(key).startswith("ModelCheckpoint")},
+        }
 
     def remove_checkpoint(self, path: Any) -> None:
         path = Path(path)
@@ -181,265 +102,300 @@ class WholeCheckpoints(CheckpointIO):
             path.unlink(missing_ok=True)
 
 
+def make_origin(config: Mapping[str, Any], trained_on: list[Any], without: set[str]) -> dict[str, Any]:
+    """Return what every checkpoint stores about its training.
+
+    Args:
+        config: The resolved configuration of train.py as plain values.
+        trained_on: Everything that the training batches are a function of, as the datamodule states it.
+        without: Keys of `trainer` to leave out.
+    """
+    trainer = {key: value for key, value in config["trainer"].items() if key not in without}
+    keys = [key for key in KEYS if key not in ("trainer", "trained_on")]
+    return {**{key: config[key] for key in keys}, "trainer": trainer, "trained_on": trained_on}
+
+
 def read_bytes(path: Path) -> bytes:
-    """The content of a checkpoint's file."""
+    """Read the file of a checkpoint, if it is one that is not too large."""
     if not path.is_file():
         raise CophyError(
-            f"{path} is no file: give a checkpoint of train.py, for example outputs/.../checkpoints/best.ckpt"
+            f"{path} is not a file: name a checkpoint of train.py, for example outputs/.../checkpoints/best.ckpt"
         )
-    if path.stat().st_size > MAX_BYTES:
-        raise CophyError(f"{path} is no checkpoint of train.py: it is larger than {MAX_BYTES >> 30} GiB")
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise CophyError(f"{path} is not a checkpoint of train.py: it is larger than {MAX_FILE_BYTES >> 30} GiB")
     return path.read_bytes()
 
 
-def check_whole(content: bytes, source: Path) -> None:
-    """Compare the checksums (CRC-32) that torch stored with what is there. A file that torch wrote is not compressed.
+def read_checkpoint(content: bytes, source: Path) -> Checkpoint:
+    """Read the content of a checkpoint file.
 
     Raises:
-        CophyError: They differ, or the file would grow when it is read; the message names `source`.
+        CophyError: It was not written by train.py, or is damaged; the message names `source`.
     """
+    saved = _load(content, source, "cpu")
+    origin, weights = saved.get(ORIGIN), saved.get("state_dict")
+    if not isinstance(weights, dict) or not all(
+        isinstance(key, str) and isinstance(weight, Tensor) for key, weight in weights.items()
+    ):
+        raise CophyError(f"{source} is not a checkpoint of train.py: it has no weights")
+    network = {key.removeprefix(NETWORK): value for key, value in weights.items() if key.startswith(NETWORK)}
+    return Checkpoint(_check_origin(origin, source), network, has_optimizer="optimizer_states" in saved)
+
+
+def _load(content: bytes, source: Path, map_location: Any) -> dict[str, Any]:
+    """Compare the checksums (CRC-32) that torch stores but does not compare, and load; torch does not compress."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
             size = sum(each.file_size for each in entries)
             if any(each.compress_type != zipfile.ZIP_STORED for each in entries) or size > len(content):
-                raise CophyError(f"{source} is no checkpoint of train.py: it is compressed, or its parts overlap")
+                raise CophyError(f"{source} is not a checkpoint of train.py: it is compressed, or its parts overlap")
             damaged = archive.testzip()
-    except (*ERRORS, zipfile.BadZipFile, OSError, zlib.error) as error:
-        raise CophyError(f"{source} is no checkpoint of train.py, or a damaged one ({error})") from error
-    if damaged is not None:
-        raise CophyError(f"{source} is damaged ({damaged} is not what was written): take another, or train again")
+        if damaged is not None:
+            raise CophyError(f"{source} is damaged (checksum of {damaged}): use another copy, or train again")
+        saved = torch.load(io.BytesIO(content), map_location=map_location, weights_only=True)
+    except (*LOADING_ERRORS, zipfile.BadZipFile, OSError, zlib.error) as error:
+        raise CophyError(f"{source} is not a checkpoint of train.py, or is damaged ({_first_line(error)})") from error
+    if not isinstance(saved, dict):
+        raise CophyError(f"{source} is not a checkpoint of train.py")
+    return saved
 
 
-def read_checkpoint(content: bytes, source: Path) -> Checkpoint:
-    """What train.py saved.
+def _check_origin(origin: Any, source: Path) -> dict[str, Any]:
+    """Return an origin with today's class names, after a check of its keys, types and size."""
+    try:
+        check_plain(origin)
+        if not isinstance(origin, dict):
+            raise ValueError("no origin")
+        origin = LATER_KEYS | origin
+        if unknown := origin.keys() ^ KEYS.keys():
+            raise ValueError(f"key {min(unknown)} is missing or unknown")
+        for key, types in KEYS.items():
+            if not isinstance(origin[key], types):
+                raise ValueError(f"{key} is of type {type(origin[key]).__name__}")
+        for group, key in (("model", "_target_"), ("scenario", "name"), ("split", "name")):
+            if not isinstance(origin[group].get(key), str):
+                raise ValueError(f"{group}.{key} is not a name")
+    except ValueError as error:
+        raise misfit(source, error) from error
+    return dict(_with_current_names(origin))
+
+
+def check_plain(tree: Any) -> None:
+    """Check that a tree holds only what a configuration holds: few plain values without references.
 
     Raises:
-        CophyError: It is something else; the message names `source`.
+        ValueError: It does not; the message says what was there.
     """
-    check_whole(content, source)
-    try:
-        saved = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-        said, weights = saved[ORIGIN], dict(saved["state_dict"])
-        of_network = {key: value for key, value in weights.items() if key.startswith(OF_NETWORK)}
-    except ERRORS as error:
-        raise CophyError(f"{source} is no checkpoint of train.py, or a damaged one") from error
-    with made_from(source):
-        check_plain(said)
-        origin = Origin(**_with_todays_names(said))
-    network = {key.removeprefix(OF_NETWORK): value for key, value in of_network.items()}
-    return Checkpoint(origin, network, has_optimizer="optimizer_states" in saved)
+    level = [tree]
+    for _ in range(MAX_DEPTH):
+        children: list[Any] = []
+        for value in level:
+            if isinstance(value, dict | list):
+                if len(children) + 2 * len(value) > MAX_VALUES:
+                    raise ValueError(f"more than {MAX_VALUES:,} values")
+                children += [*value, *value.values()] if isinstance(value, dict) else value
+            if isinstance(value, dict) and not all(isinstance(key, str) for key in value):
+                raise ValueError("a key is not a name")
+            if value is not None and not isinstance(value, dict | list | str | bool | int | float):
+                raise ValueError(f"{type(value).__name__} is not a type of a configuration's values")
+            if isinstance(value, str) and "${" in value:  # OmegaConf would resolve it, to environment variables too
+                raise ValueError(f"{value[:80]!r} is a reference")
+        if not children:
+            return
+        level = children
+    raise ValueError(f"values are nested more than {MAX_DEPTH} deep, or contain themselves")
 
 
-def _with_todays_names(tree: Any) -> Any:
-    """Replace every `_target_` of an earlier version by the name that it has today."""
+def _with_current_names(tree: Any) -> Any:
+    """Replace every `_target_` of an earlier version by its current name."""
     if not isinstance(tree, dict):
         return tree
     return {
-        key: MOVED.get(value, value) if key == "_target_" and isinstance(value, str) else _with_todays_names(value)
+        key: MOVED.get(value, value) if key == "_target_" and isinstance(value, str) else _with_current_names(value)
         for key, value in tree.items()
     }
 
 
-@contextmanager
-def made_from(source: Path) -> Iterator[None]:
-    """Around what is made from what a checkpoint says, and nothing else: where it says nonsense, it is named.
-
-    Raises:
-        CophyError: It does not fit what is made from it.
-    """
-    try:
-        yield
-    except (*MISFITS, CophyError, OmegaConfBaseException) as error:
-        what = "a key is missing: " if type(error) is KeyError else ""
-        why = (str(error) or type(error).__name__).splitlines()[0][:MAX_CHARACTERS]
-        raise CophyError(
-            f"{source} is no checkpoint of train.py, or of another version of cophy ({what}{why}): take another, or "
-            "train again"
-        ) from error
+def misfit(source: Path, error: Exception) -> CophyError:
+    """Return the error to raise for a checkpoint whose contents do not fit what is built from them."""
+    return CophyError(
+        f"{source} was not written by train.py, or by another version of cophy ({_first_line(error)}): use another "
+        "checkpoint, or train again"
+    )
 
 
-MOST = 1 << 14  # ours: layers as wide as this do not fit into a checkpoint of 4 GiB, and nothing is so deep
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0][:300]
 
 
 def build_network(model: Mapping[str, Any]) -> nn.Module:
-    """The network that `model._target_` names, made from the remaining keys as plain values.
+    """Build the network that `model._target_` names, with the remaining keys as its arguments.
 
-    Nothing nested is made into an object: `model` may come from a checkpoint that somebody else wrote.
+    Nested values stay plain: nothing in them is built, as `model` may come from a checkpoint.
 
     Raises:
-        CophyError: The class cannot be imported, is no torch module, or does not take these arguments.
+        CophyError: The class cannot be found, is not a torch module, or does not take these arguments.
     """
     target, arguments = model.get("_target_"), {key: value for key, value in model.items() if key != "_target_"}
     if target is None:
         raise CophyError("model._target_ is missing: it names the class of the model")
     if special := [key for key in arguments if not isinstance(key, str) or key.startswith("_")]:
-        raise CophyError(f"model.{special[0]} is no argument of a network")
-    if not issubclass(_class_named(str(target)), nn.Module):
-        raise CophyError(f"model._target_={target} is not a torch.nn.Module")
+        raise CophyError(f"model.{special[0]} is not an argument of a network")
+    network_class = _import_class(str(target))
     try:
-        return instantiate({"_target_": target}, **arguments, _recursive_=False, _convert_="all")
-    except InstantiationException as error:
-        if isinstance(error.__cause__, TypeError):
-            raise CophyError(f"model: {error.__cause__}; see {target}") from error
-        if isinstance(error.__cause__, MemoryError | RuntimeError) and "memory" in str(error.__cause__).lower():
-            raise CophyError(f"model: there is no memory for a network of this size; see {target}") from error
-        raise error.__cause__ or error from None
+        inspect.signature(network_class).bind(**arguments)
+    except TypeError as error:
+        raise CophyError(f"model: {error}; see {target}") from error
+    try:
+        return network_class(**arguments)
+    except (MemoryError, RuntimeError) as error:
+        if "memory" not in str(error).lower():
+            raise
+        raise CophyError(f"model: not enough memory for a network of this size; see {target}") from error
 
 
-def restore_network(model: Mapping[str, Any], weights: Mapping[str, Tensor]) -> nn.Module:
-    """The network of a checkpoint, one of cophy.models, with its weights.
+def _import_class(target: str) -> type[nn.Module]:
+    module, _, name = target.rpartition(".")
+    try:
+        value = getattr(importlib.import_module(module), name, None)
+    except (ModuleNotFoundError, ValueError) as error:
+        missing = getattr(error, "name", None) or ""
+        if module and not f"{module}.".startswith(f"{missing}."):  # a module of the user imports something missing
+            raise
+        hint = f"no module {missing or module} (is its folder on PYTHONPATH?)"
+        raise CophyError(f"model._target_={target} cannot be imported: {hint}") from error
+    if value is None:
+        raise CophyError(f"model._target_={target} cannot be imported: {module} has no {name}")
+    if not (isinstance(value, type) and issubclass(value, nn.Module)):
+        raise CophyError(f"model._target_={target} is not a torch.nn.Module")
+    return value
 
-    It takes no more memory than the checkpoint, unless its class needs values to be made.
+
+def restore_network(checkpoint: Checkpoint, source: Path) -> nn.Module:
+    """Build the network of a checkpoint, one of cophy.models, with its weights.
+
+    Its shapes are compared on the meta device, before memory is allocated.
 
     Raises:
-        CophyError: The weights are not those of this network as it is now.
-        RuntimeError: Likewise, of such a class.
+        CophyError: The weights do not fit this network as it is now, or its arguments are not those of its class.
     """
-    for key, value in model.items():
-        if isinstance(value, int) and value > MOST:
-            raise CophyError(f"model.{key}={value} is more than {MOST}")
-    check_shapes(model, weights)
-    if sum(map(_num_bytes, weights.values())) > 2 * _num_bytes_held(weights):  # a few may be shared
-        raise CophyError("its weights repeat a few numbers")
-    network = build_network(model)
-    network.load_state_dict(weights)
+    model, weights = checkpoint.origin["model"], checkpoint.weights
+    if not model["_target_"].startswith(MODELS):
+        raise CophyError(f"{source} is a checkpoint of {model['_target_']}: only classes of cophy.models are loaded")
+    try:
+        for key, value in model.items():
+            if isinstance(value, int) and value > MAX_SIZE:
+                raise ValueError(f"model.{key}={value} is more than {MAX_SIZE}")
+        with torch.device("meta"):
+            expected = build_network(model)
+        if name := _differing_weight(weights, expected.state_dict()):
+            raise ValueError(f"{name} does not fit {model['_target_']} as it is now")
+        if sum(map(_num_bytes, weights.values())) > 2 * _num_stored_bytes(weights):  # a few may be shared
+            raise ValueError("its weights repeat a few numbers")
+        network = build_network(model)
+        network.load_state_dict(weights)
+    except (CophyError, AssertionError, RuntimeError, TypeError, ValueError) as error:  # constructors of cophy.models
+        raise misfit(source, error) from error
     return network
 
 
-def check_shapes(model: Mapping[str, Any], weights: Mapping[str, Tensor]) -> None:
-    """Compare names and shapes of weights with those of a network that holds no numbers (`meta`), if its class can be so.
-
-    Raises:
-        CophyError: They are not those of this network as it is now.
-    """
-    shapes = {key: value.shape for key, value in weights.items()}
-    with suppress(RuntimeError), torch.device("meta"):
-        wanted = {key: value.shape for key, value in build_network(model).state_dict().items()}
-        if differing := sorted(key for key in wanted.keys() | shapes.keys() if wanted.get(key) != shapes.get(key)):
-            raise CophyError(f"{differing[0]} does not fit {model['_target_']} as it is now")
+def _differing_weight(weights: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> str | None:
+    """Return the first name whose weight is missing, unknown, or of another shape."""
+    shapes, expected_shapes = ({key: each.shape for key, each in tensors.items()} for tensors in (weights, expected))
+    names = sorted(shapes.keys() | expected_shapes.keys())
+    return next((name for name in names if shapes.get(name) != expected_shapes.get(name)), None)
 
 
 def _num_bytes(weight: Tensor) -> int:
     return weight.numel() * weight.element_size()
 
 
-def _num_bytes_held(weights: Mapping[str, Tensor]) -> int:
-    """What lies in memory: of an expanded tensor one number, of one on `meta` nothing."""
+def _num_stored_bytes(weights: Mapping[str, Tensor]) -> int:
+    """Count bytes in memory: one number for an expanded tensor, nothing for one on `meta`."""
     storages = [weight.untyped_storage() for weight in weights.values() if not weight.is_meta]
     return sum({storage.data_ptr(): storage.nbytes() for storage in storages}.values())
 
 
-def _class_named(target: str) -> type:
-    try:
-        return get_class(target)
-    except Exception as error:
-        package = target.split(".")[0]
-        unknown = isinstance(cause := error.__cause__, ModuleNotFoundError) and cause.name == package
-        why = f"no module {package} (is its folder on PYTHONPATH?)" if unknown else " ".join(str(error).split())
-        raise CophyError(f"model._target_={target} cannot be imported: {why}") from error
-
-
-NAMED = 3  # settings in a message
-CHOSEN = ("scenario", "size")  # by a name, which brings all other keys below it
-NO_SETTING = {"scenario.task.splits"}  # names of splits: a split more changes no training
-MAY_CHANGE = {  # where a training goes on: how long it is, how it is validated, and whether it is a trial
-    *("trainer.max_epochs", "trainer.max_time", "split.epochs_factor", "trainer.fast_dev_run"),
-    *("trainer.limit_val_batches", "trainer.check_val_every_n_epoch"),
-}
-
-
-def check_resumable(ckpt: Path, origin: Origin) -> None:
-    """Refuse a checkpoint of another training. The resumed one may be longer.
+def check_resumable(ckpt: Path, origin: dict[str, Any], network: nn.Module) -> None:
+    """Check that a training can continue from a checkpoint: the same settings; it may be longer.
 
     Args:
-        ckpt: The checkpoint to go on from; reading it runs no code.
-        origin: What is to be trained.
+        ckpt: The checkpoint.
+        origin: Of the training that continues.
+        network: Its network.
 
     Raises:
-        CophyError: It is no checkpoint, or of another training (the message names the keys that differ), or its weights do
-            not fit.
+        CophyError: It is not a checkpoint, or of another training (the message names the keys that differ), or its weights
+            do not fit.
     """
     checkpoint = _read(ckpt, "ckpt", "last.ckpt")
     if not checkpoint.has_optimizer:
-        raise CophyError(f"ckpt={ckpt} holds weights alone, for tests and predictions: go on from the run's last.ckpt")
-    says_all = checkpoint.origin.seed is not None  # as earlier versions did not
-    depends_on = _all_weights_depend_on if says_all else _weights_depend_on
-    own, wanted = depends_on(checkpoint.origin), depends_on(origin)
-    if keys := _differing(*({key: each[key] for key in each.keys() - MAY_CHANGE} for each in (own, wanted))):
-        raise CophyError(f"ckpt={ckpt} is of another training ({keys}): go on with the same settings, or start anew")
-    _check_weights(ckpt, checkpoint)
+        raise CophyError(f"ckpt={ckpt} holds only weights, for tests and predictions: use the run's last.ckpt")
+    is_old = checkpoint.origin["seed"] is None
+    stored, wanted = (_settings(each, with_later_keys=not is_old) for each in (checkpoint.origin, origin))
+    if keys := _differing(*({key: each[key] for key in each.keys() - MAY_CHANGE} for each in (stored, wanted))):
+        raise CophyError(f"ckpt={ckpt} belongs to another training ({keys}): use the same settings, or train anew")
+    _check_weights(ckpt, checkpoint, network)
 
 
-def check_trained(predictor: Path, origin: Origin) -> None:
-    """Refuse a checkpoint whose weights are not those that this training would end with.
+def check_trained(predictor: Path, origin: dict[str, Any], network: nn.Module) -> None:
+    """Check that a checkpoint holds the weights that a training would end with.
 
     Args:
-        predictor: The checkpoint to test instead of training; reading it runs no code.
-        origin: What would be trained.
+        predictor: The checkpoint to test instead of training.
+        origin: Of that training.
+        network: Its network.
 
     Raises:
-        CophyError: It is no checkpoint, too old to tell, or of another training (the message names the keys that differ), or
-            its weights do not fit.
+        CophyError: It is not a checkpoint, too old to tell, or of another training (the message names the keys that
+            differ), or its weights do not fit.
     """
     checkpoint = _read(predictor, "predictor", "best.ckpt")
-    own = checkpoint.origin
-    if own.seed is None:
-        raise CophyError(
-            f"predictor={predictor} does not say with which seed it was trained, as earlier versions did not"
-        )
-    if keys := _differing(_all_weights_depend_on(own), _all_weights_depend_on(origin)):
-        raise CophyError(f"predictor={predictor} is of another training ({keys}): test it with the same settings")
-    _check_weights(predictor, checkpoint)
+    if checkpoint.origin["seed"] is None:
+        raise CophyError(f"predictor={predictor} does not state its seed, as checkpoints of earlier versions")
+    if keys := _differing(_settings(checkpoint.origin), _settings(origin)):
+        raise CophyError(f"predictor={predictor} belongs to another training ({keys}): use the same settings")
+    _check_weights(predictor, checkpoint, network)
 
 
 def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Leaves of nested dictionaries under dotted names."""
+    """Return the leaves of nested dictionaries under dotted names."""
     leaves: dict[str, Any] = {}
     for key, value in tree.items():
         leaves |= flatten(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
     return leaves
 
 
-def _read(path: Path, key: str, kept: str) -> Checkpoint:
+def _read(path: Path, key: str, name: str) -> Checkpoint:
     if not path.is_file():
-        raise CophyError(f"{key}={path} is no file: a run keeps {kept} in its checkpoints/")
+        raise CophyError(f"{key}={path} is not a file: a run keeps {name} in its checkpoints/")
     return read_checkpoint(read_bytes(path), path)
 
 
-def _check_weights(source: Path, checkpoint: Checkpoint) -> None:
-    """Refuse those that do not fit the class of the model as it is now; its arguments are the same."""
-    with made_from(source):
-        check_shapes(checkpoint.origin.model, checkpoint.weights)
+def _check_weights(source: Path, checkpoint: Checkpoint, network: nn.Module) -> None:
+    if name := _differing_weight(checkpoint.weights, network.state_dict()):
+        raise misfit(source, ValueError(f"{name} does not fit {checkpoint.origin['model']['_target_']} as it is now"))
 
 
-def _differing(trained: dict[str, Any], wanted: dict[str, Any]) -> str:
-    """The settings of a checkpoint that are not those wanted, as a command line has them; of many, the first."""
-    keys = [key for key in sorted(trained.keys() | wanted.keys()) if trained.get(key) != wanted.get(key)]
-    chosen = [group for group in CHOSEN if f"{group}.name" in keys]
-    others = [key for key in keys if key.split(".")[0] not in (*chosen, "data")]
-    if not chosen and not others:
-        others = keys  # data alone, which else follow from the settings
-    named = [f"{group}={trained[f'{group}.name']}" for group in chosen]
-    named += [f"{key}={trained.get(key)}" for key in others]
-    more = [f"and {len(named) - NAMED} others"] if len(named) > NAMED else []
-    return ", ".join(named[:NAMED] + more)
+def _settings(origin: dict[str, Any], *, with_later_keys: bool = True) -> dict[str, Any]:
+    """Return the settings that weights depend on, under dotted names."""
+    groups = {key: origin[key] for key in ("scenario", "model", "training", "data_seed", "size")}
+    groups |= {"split.train": origin["split"].get("train"), "data": origin["trained_on"]}
+    if with_later_keys:
+        factor = origin["split"].get("epochs_factor")
+        groups |= {"seed": origin["seed"], "trainer": origin["trainer"], "split.epochs_factor": factor}
+    return {key: value for key, value in flatten(groups).items() if key not in NO_EFFECT}
 
 
-def _all_weights_depend_on(origin: Origin) -> dict[str, Any]:
-    """Also what earlier versions did not write down."""
-    last = {"seed": origin.seed, "trainer": origin.trainer, "split.epochs_factor": origin.split.get("epochs_factor")}
-    return _weights_depend_on(origin) | flatten(last)
-
-
-def _weights_depend_on(origin: Origin) -> dict[str, Any]:
-    parts = {
-        "scenario": origin.scenario,
-        "split.train": origin.split.get("train"),
-        "model": origin.model,
-        "training": origin.training,
-        "data_seed": origin.data_seed,
-        "size": origin.size,
-        "data": origin.trained_on,
-    }
-    return {key: value for key, value in flatten(parts).items() if key not in NO_SETTING}
+def _differing(stored: dict[str, Any], wanted: dict[str, Any]) -> str:
+    """List the settings of a checkpoint that differ from those wanted, as a command line has them; at most MAX_NAMED."""
+    keys = [key for key in sorted(stored.keys() | wanted.keys()) if stored.get(key) != wanted.get(key)]
+    groups = [group for group in GROUPS if f"{group}.name" in keys]
+    others = [key for key in keys if key.split(".")[0] not in (*groups, "data")]
+    if not groups and not others:
+        others = keys  # the data alone, which otherwise follow from the settings
+    named = [f"{group}={stored.get(f'{group}.name')}" for group in groups]
+    named += [f"{key}={stored.get(key)}" for key in others]
+    more = [f"and {len(named) - MAX_NAMED} others"] if len(named) > MAX_NAMED else []
+    return ", ".join(named[:MAX_NAMED] + more)

@@ -11,17 +11,19 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 from torchmetrics import MetricCollection
 
-from cophy.dataset.frames import FrameBatch
+from cophy.dataset.frames import FrameBatch, FrameDataModule
 from cophy.models.derenderer import Derendered, Derenderer
-from cophy.training.metrics import PerExperiment, collection, of_all_devices, over_objects
-from cophy.training.settings import Training, optimisation
+from cophy.training.metrics import PerExperiment, collection, gather_devices, over_objects
+from cophy.training.optimisation import make_optimizer
+from cophy.training.run import Results
+from cophy.training.settings import Training
 
 
 class DerenderingModule(L.LightningModule):
     """A de-renderer under the paper's loss, with presence.
 
     Attributes:
-        tested: After a test, every measure per frame.
+        tested: After a test, (frame,) values of each metric.
     """
 
     tested: dict[str, np.ndarray]
@@ -29,10 +31,28 @@ class DerenderingModule(L.LightningModule):
     def __init__(self, network: Derenderer, training: Training) -> None:
         super().__init__()
         self.network, self.training_settings = network, training
-        self.metrics = nn.ModuleDict({f"in_{split}": collection(MEASURES, f"{split}/") for split in ("train", "val")})
+        self.metrics = nn.ModuleDict(
+            {f"in_{split}": collection(DERENDERING_METRICS, f"{split}/") for split in ("train", "val")}
+        )
+
+    def setup(self, stage: str) -> None:
+        """Let the network predict positions in units of their spread over the training frames."""
+        data = getattr(self.trainer, "datamodule", None)
+        if isinstance(data, FrameDataModule) and stage == "fit":
+            self.network.scale_(*data.train.position_statistics())
+
+    def make_figures(self, every_n_epochs: int) -> L.Callback:
+        """Return the callback that draws validation examples."""
+        from cophy.training.figures import DerenderingFigures  # no weight depends on figures, see cophy.training.reuse
+
+        return DerenderingFigures(every_n_epochs)
+
+    def results(self, data: FrameDataModule) -> Results:
+        """Return all metrics of the test."""
+        return Results(self.tested, data.test.pairs)
 
     def forward(self, image: UInt8[Tensor, "batch 3 height width"]) -> Derendered:
-        """Positions and presence of what a picture shows."""
+        """Return positions and presence of the objects in an image."""
         return self.network(image.to(self.network.mean.dtype) / 255)
 
     def training_step(self, batch: FrameBatch) -> Tensor:
@@ -45,27 +65,27 @@ class DerenderingModule(L.LightningModule):
         self._test_steps: list[dict[str, Tensor]] = []
 
     def test_step(self, batch: FrameBatch) -> None:
-        found = self(batch.image)
-        average = found._replace(position=self.network.mean.expand_as(found.position))
-        values = {name: measure(found, batch) for name, measure in MEASURES.items()}
+        output = self(batch.image)
+        average = output._replace(position=self.network.mean.expand_as(output.position))
+        values = {name: metric(output, batch) for name, metric in DERENDERING_METRICS.items()}
         values["mean_position_error"] = euclidean_error(average, batch)
         self._test_steps.append({name: value.cpu() for name, value in values.items()})
 
     def on_test_epoch_end(self) -> None:
-        steps = of_all_devices(self._test_steps)
+        steps = gather_devices(self._test_steps)
         self.tested = {name: torch.cat([step[name] for step in steps]).double().numpy() for name in steps[0]}
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        return optimisation(self, self.training_settings)
+        return make_optimizer(self, self.training_settings)
 
     def _step(self, split: str, batch: FrameBatch) -> Float[Tensor, ""]:
-        found = self(batch.image)
+        output = self(batch.image)
         metrics = self.metrics[f"in_{split}"]
         assert isinstance(metrics, MetricCollection)
-        metrics(found, batch)
+        metrics(output, batch)
         self.log_dict(metrics, on_step=False, on_epoch=True)
-        position = squared_error(found, batch).mean()
-        logit = found.presence_logit
+        position = squared_error(output, batch).mean()
+        logit = output.presence_logit
         presence = binary_cross_entropy_with_logits(logit, batch.presence.to(logit.dtype))
         self.log(
             f"{split}/loss",
@@ -78,31 +98,31 @@ class DerenderingModule(L.LightningModule):
         return position + presence
 
 
-def squared_error(found: Derendered, truth: FrameBatch) -> PerExperiment:
-    """MSE in m² over the coordinates of present objects, of each frame."""
-    return over_objects((found.position - truth.position).square().mean(dim=-1), truth.presence)
+def squared_error(output: Derendered, truth: FrameBatch) -> PerExperiment:
+    """Return the MSE in m² over the coordinates of present objects, per frame."""
+    return over_objects((output.position - truth.position).square().mean(dim=-1), truth.presence)
 
 
-def euclidean_error(found: Derendered, truth: FrameBatch) -> PerExperiment:
-    """Distance in m from the true position, mean over present objects, of each frame."""
-    return over_objects((found.position - truth.position).norm(dim=-1), truth.presence)
+def euclidean_error(output: Derendered, truth: FrameBatch) -> PerExperiment:
+    """Return the distance in m from the true position, mean over present objects, per frame."""
+    return over_objects((output.position - truth.position).norm(dim=-1), truth.presence)
 
 
-def presence_accuracy(found: Derendered, truth: FrameBatch) -> PerExperiment:
-    """Share of slots of which is said rightly whether they hold an object, of each frame."""
-    return ((found.presence_logit > 0) == truth.presence).float().mean(dim=1)
+def presence_accuracy(output: Derendered, truth: FrameBatch) -> PerExperiment:
+    """Return the share of slots whose presence is predicted correctly, per frame."""
+    return ((output.presence_logit > 0) == truth.presence).float().mean(dim=1)
 
 
 def coordinate_error(axis: int) -> Callable[[Derendered, FrameBatch], PerExperiment]:
-    """Distance in m along one axis, mean over present objects, of each frame."""
+    """Return the metric of the distance in m along one axis, mean over present objects, per frame."""
 
-    def measure(found: Derendered, truth: FrameBatch) -> PerExperiment:
-        return over_objects((found.position - truth.position)[..., axis].abs(), truth.presence)
+    def measure(output: Derendered, truth: FrameBatch) -> PerExperiment:
+        return over_objects((output.position - truth.position)[..., axis].abs(), truth.presence)
 
     return measure
 
 
-MEASURES: dict[str, Callable[[Derendered, FrameBatch], PerExperiment]] = {
+DERENDERING_METRICS: dict[str, Callable[[Derendered, FrameBatch], PerExperiment]] = {
     "mse": squared_error,
     "euclidean_error": euclidean_error,
     "presence_accuracy": presence_accuracy,

@@ -11,7 +11,7 @@ from cophy.types import Prediction, Targets
 
 
 def masked_mean(values: Float[Tensor, "batch steps slots"], presence: Bool[Tensor, "batch slots"]) -> Float[Tensor, ""]:
-    """Mean over the present objects of a batch and their steps; whatever absent slots hold does not count."""
+    """Return the mean over the present objects of a batch and their steps; absent slots do not count, not even NaN."""
     counted = presence[:, None].expand_as(values)
     return torch.where(counted, values, 0.0).sum() / counted.sum()
 
@@ -30,7 +30,7 @@ def stability_loss(logit: Float[Tensor, "batch steps_or_one slots"], targets: Ta
 def stability_target(
     logit: Float[Tensor, "batch steps_or_one slots"], targets: Targets
 ) -> Bool[Tensor, "batch steps_or_one slots"]:
-    """True stability per step; where one logit stands for the sequence, whether the object is always stable."""
+    """Return the true stability per step, or, for one logit per sequence, whether the object is always stable."""
     return targets.stable if logit.shape[1] == targets.stable.shape[1] else targets.stable.all(dim=1, keepdim=True)
 
 
@@ -38,7 +38,7 @@ def confounder_loss(logits: Sequence[Float[Tensor, "batch slots _"]], targets: T
     """Cross entropy of mass and of friction, summed; mean over the objects of AB (paper Table 6 middle).
 
     Args:
-        logits: Of mass, and of friction, one for each value of the grid.
+        logits: One tensor for mass and one for friction, with a logit for each value of the grid.
         targets: Hold the true classes.
     """
     classes = targets.confounder_class[targets.observed_presence].unbind(-1)

@@ -1,40 +1,43 @@
-"""What the devices of a run measured, brought together.
+"""How predictions are judged: metrics per experiment, metrics of twins, and the metrics of a whole test split.
 
-How predictions are judged. Every experiment counts once, whatever its number of objects or its batch.
-Does a prediction tell twins apart as the truth does?
-
-Twins share A, C and the do-operation. Only their confounders differ, which AB alone shows. So a model that does not
-look at AB predicts the same for both, and what is measured here says what a model made of AB. No oracle is needed.
-What validation counts beside its means: the MSE of each cell, and towers that stand or fall.
+Every experiment counts once, whatever its number of objects or its batch. Twins share A, C and the do-operation; only their
+confounders differ, which AB alone shows. A model that ignores AB predicts the same for both, so the metrics of twins measure
+what a model infers from AB, without any oracle.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Generic, NamedTuple, TypeVar
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, distributed
 from torchmetrics import MeanMetric, Metric, MetricCollection
 from torchmetrics.classification import BinaryConfusionMatrix
 
-from cophy.scenario import Camera, Task
-from cophy.types import Prediction, Targets
+from cophy.bootstrap import Ratio, mean
+from cophy.errors import CophyError
+from cophy.models.baselines import CopyB, CopyC
+from cophy.scenario import Camera, Scenario, Task
+from cophy.types import Batch, Prediction, Targets
 
 PerExperiment = Float[Tensor, "batch"]
 Measure = Callable[[Prediction, Targets], PerExperiment]
-Said = TypeVar("Said")  # what a model says, `Prediction` or a de-renderer's
-Truth = TypeVar("Truth")
+PredictionT = TypeVar("PredictionT")  # `Prediction`, or the output of a de-renderer
+TargetT = TypeVar("TargetT")
 PIXEL_ERROR_RESOLUTION = 448  # paper Table 1: pixel errors are given at 448 x 448
+NOT_FINITE = "predicts non-finite values: lower training.learning_rate, or look for a division by zero in the model"
 
 
-class ExperimentMean(MeanMetric, Generic[Said, Truth]):
+class ExperimentMean(MeanMetric, Generic[PredictionT, TargetT]):
     """Mean over experiments of a value per experiment."""
 
-    def __init__(self, measure: Callable[[Said, Truth], Tensor]) -> None:
+    def __init__(self, measure: Callable[[PredictionT, TargetT], Tensor]) -> None:
         super().__init__()
         self.measure = measure
 
-    def update(self, prediction: Said, truth: Truth) -> None:  # type: ignore[override]
+    def update(self, prediction: PredictionT, truth: TargetT) -> None:  # type: ignore[override]
         """Add a batch."""
         super().update(self.measure(prediction, truth))
 
@@ -42,7 +45,7 @@ class ExperimentMean(MeanMetric, Generic[Said, Truth]):
 def mean_squared_error(dims: int) -> Measure:
     """MSE in m² over the first `dims` coordinates, present objects and steps 1 … T-1 (paper Tables 2-4).
 
-    What a mean of draws owes to chance is not counted: in expectation it is the MSE of the exact mean.
+    For Monte Carlo oracles, the sampling variance is subtracted: an unbiased estimate of the MSE of the exact mean.
     """
 
     def measure(prediction: Prediction, targets: Targets) -> PerExperiment:
@@ -65,46 +68,46 @@ def final_position_error(dims: int) -> Measure:
 
 
 def pixel_error(camera: Camera) -> Measure:
-    """Distance in pixels between predicted and true final position in the camera's picture, mean over objects."""
+    """Distance in pixels between predicted and true final position in the camera's image, mean over objects."""
     return lambda prediction, targets: over_objects(_pixel_distance(camera, prediction, targets), targets.presence)
 
 
 def pixel_error_at_height(camera: Camera, rank: int) -> Measure:
-    """The same for one object, the `rank`-th from below in C (0 is the lowest); NaN where C has fewer objects."""
+    """Pixel error of one object, the `rank`-th from below in C (0 is the lowest); NaN if C has fewer objects."""
 
     def measure(prediction: Prediction, targets: Targets) -> PerExperiment:
         height = torch.where(targets.presence, targets.initial[..., 2], torch.inf)
-        chosen = height.argsort(dim=1)[:, rank : rank + 1]
-        distance = _pixel_distance(camera, prediction, targets).gather(1, chosen).squeeze(1)
+        slot = height.argsort(dim=1)[:, rank : rank + 1]
+        distance = _pixel_distance(camera, prediction, targets).gather(1, slot).squeeze(1)
         return torch.where(targets.presence.sum(dim=1) > rank, distance, torch.nan)
 
     return measure
 
 
 def stability_accuracy(prediction: Prediction, targets: Targets) -> PerExperiment:
-    """Share of objects and steps whose stability is predicted right; one decision for all steps counts at each."""
+    """Share of objects and steps whose stability is predicted correctly; one decision for all steps counts at each."""
     right = (_stable_logit(prediction) > 0) == targets.stable
     return over_objects(right.float().mean(dim=1), targets.presence)
 
 
 def stability_base_rate(prediction: Prediction, targets: Targets) -> PerExperiment:
-    """Share of objects and steps that are stable: the accuracy of always saying so."""
+    """Share of objects and steps that are stable: the accuracy of always predicting stable."""
     return over_objects(targets.stable.float().mean(dim=1), targets.presence)
 
 
 def sequence_stability_accuracy(prediction: Prediction, targets: Targets) -> PerExperiment:
-    """Share of objects of which is said rightly whether they stay stable at every step (paper Table 6 right)."""
+    """Share of objects whose stability at every step is predicted correctly (paper Table 6 right)."""
     right = (_stable_logit(prediction) > 0).all(dim=1) == targets.stable.all(dim=1)
     return over_objects(right.float(), targets.presence)
 
 
 def position_measures(task: Task) -> dict[str, Measure]:
-    """What every predictor is judged by while it trains."""
+    """Return the metrics of every predictor in training."""
     return {"mse": mean_squared_error(task.metric_dims), "final_position_error": final_position_error(task.metric_dims)}
 
 
 def stability_measures() -> dict[str, Measure]:
-    """The same for predictors that say whether objects are stable."""
+    """Return the metrics of predictors of stability."""
     return {
         "stability_accuracy": stability_accuracy,
         "stability_base_rate": stability_base_rate,
@@ -113,26 +116,26 @@ def stability_measures() -> dict[str, Measure]:
 
 
 def pixel_measures(task: Task, camera: Camera, num_objects: int) -> dict[str, Measure]:
-    """What is measured in the camera's picture, on the test split; `pixel_error_1` is of the lowest object.
+    """Return the metrics in the camera's image, for the test split; `pixel_error_1` is that of the lowest object.
 
     Args:
         task: Says whether errors are also given by height.
-        camera: In whose picture distances are taken.
-        num_objects: The most objects that an experiment has in C.
+        camera: Projects positions.
+        num_objects: Largest number of objects in C.
     """
     ranks = range(num_objects if task.by_height else 0)
     levels = {f"pixel_error_{rank + 1}": pixel_error_at_height(camera, rank) for rank in ranks}
     return {"pixel_error": pixel_error(camera)} | levels
 
 
-def collection(measures: Mapping[str, Callable[[Said, Truth], Tensor]], prefix: str) -> MetricCollection:
-    """Measures as torchmetrics accumulate them."""
+def collection(measures: Mapping[str, Callable[[PredictionT, TargetT], Tensor]], prefix: str) -> MetricCollection:
+    """Return a torchmetrics collection of means over experiments."""
     metrics: dict[str, Metric | MetricCollection] = {name: ExperimentMean(each) for name, each in measures.items()}
     return MetricCollection(metrics, compute_groups=False, prefix=prefix)
 
 
 def over_objects(values: Float[Tensor, "batch slots"], presence: Bool[Tensor, "batch slots"]) -> PerExperiment:
-    """Mean over the present objects of each experiment."""
+    """Return the mean over the present objects of each experiment."""
     present = presence.to(values.dtype)
     return torch.where(presence, values, 0.0).sum(dim=1) / present.sum(dim=1)
 
@@ -143,7 +146,7 @@ def _stable_logit(prediction: Prediction) -> Tensor:
 
 
 def _pixel_distance(camera: Camera, prediction: Prediction, targets: Targets) -> Float[Tensor, "batch slots"]:
-    """Distance in pixels at the last step."""
+    """Return the distance in pixels at the last step."""
     predicted, true = (
         torch.from_numpy(camera.project(position[:, -1].cpu().numpy(), PIXEL_ERROR_RESOLUTION))
         for position in (prediction.position, targets.position)
@@ -152,7 +155,7 @@ def _pixel_distance(camera: Camera, prediction: Prediction, targets: Targets) ->
 
 
 class TwinDifference(NamedTuple):
-    """Squared differences between twins, summed over coordinates, objects and steps; 0 where the twin is not there.
+    """Squared differences between twins, summed over coordinates, objects and steps; 0 without a twin.
 
     Attributes:
         error: `|ΔP - ΔD|²`, where ΔP is the predicted difference and ΔD the true one, m².
@@ -164,59 +167,50 @@ class TwinDifference(NamedTuple):
 
     @property
     def explained(self) -> Float[Tensor, "batch"]:
-        """What counts towards the share explained: Σ explained ÷ Σ size = 1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|²."""
+        """Numerator of the share explained: Σ explained ÷ Σ size = 1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|²."""
         return self.size - self.error
 
 
 def twin_of(pair: Int[Tensor, "batch"]) -> Int[Tensor, "batch"]:
-    """Index of each experiment's twin, which stands before it or after it; its own index where there is none."""
-    own = torch.arange(len(pair), device=pair.device)
+    """Return the index of each experiment's twin, which is next to it; its own index without a twin."""
+    index = torch.arange(len(pair), device=pair.device)
     follows = torch.zeros_like(pair, dtype=torch.bool)
     follows[1:] = pair[1:] == pair[:-1]
     precedes = follows.roll(-1)
-    return own + precedes.long() - follows.long()
+    return index + precedes.long() - follows.long()
 
 
 def have_twins(pair: Int[Tensor, "batch"]) -> bool:
-    """Whether any experiment's twin is there."""
+    """Return whether any experiment has its twin."""
     return bool((pair[1:] == pair[:-1]).any())
 
 
 def twin_difference(prediction: Prediction, targets: Targets, dims: int) -> TwinDifference:
-    """How far the predicted difference between twins is from the true one.
+    """Compare the predicted difference between twins with the true one, in the first `dims` coordinates.
 
-    Args:
-        prediction: What was predicted; twins follow each other.
-        targets: The truth.
-        dims: Coordinates that count.
+    Twins have to follow each other. For Monte Carlo oracles, the sampling variance is subtracted.
     """
     twin, counted = twin_of(targets.pair), targets.presence[:, None, :, None]
     true, predicted = (
         torch.where(counted, position - position[twin], 0.0)[..., :dims].double()
         for position in (targets.position, prediction.position)
     )
-    return TwinDifference(_squared(predicted - true) - _by_chance(prediction, targets, dims), _squared(true))
+    return TwinDifference(_squared(predicted - true) - _sampling_variance(prediction, targets, dims), _squared(true))
 
 
 def right_twin_chosen(prediction: Prediction, targets: Targets, dims: int) -> Float[Tensor, "batch"]:
-    """1 where the prediction is nearer to its own D than to the twin's, ½ where it is as near; NaN without a twin.
-
-    Args:
-        prediction: What was predicted; twins follow each other.
-        targets: The truth.
-        dims: Coordinates that count.
-    """
+    """Return 1 if a prediction is nearer to its own D than to the twin's, ½ if equally near, NaN without a twin."""
     twin, counted = twin_of(targets.pair), targets.presence[:, None, :, None]
-    own, other = (
+    distance, twin_distance = (
         _squared(torch.where(counted, prediction.position - true, 0.0)[..., :dims].double())
         for true in (targets.position, targets.position[twin])
     )
-    chosen = torch.where(own < other, 1.0, torch.where(own == other, 0.5, 0.0))
-    return torch.where(twin == torch.arange(len(twin), device=twin.device), torch.nan, chosen)
+    score = torch.where(distance < twin_distance, 1.0, torch.where(distance == twin_distance, 0.5, 0.0))
+    return torch.where(twin == torch.arange(len(twin), device=twin.device), torch.nan, score)
 
 
 class TwinDifferenceExplained(Metric):
-    """The share of the twins' difference that predictions explain: 0 for any model without AB, 1 for a perfect one."""
+    """Share of the twins' difference that predictions explain: 0 for any model without AB, 1 for a perfect one."""
 
     explained: Tensor
     size: Tensor
@@ -234,29 +228,24 @@ class TwinDifferenceExplained(Metric):
         self.size += difference.size.sum()
 
     def compute(self) -> Tensor:
-        """1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|² over all batches."""
+        """Return 1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|² over all batches."""
         return self.explained / self.size
 
 
 def twin_collection(dims: int, prefix: str) -> MetricCollection:
-    """Both measures as torchmetrics accumulate them, over batches in which twins follow each other.
-
-    Args:
-        dims: Coordinates that count.
-        prefix: Of their names.
-    """
-    chosen: ExperimentMean[Prediction, Targets] = ExperimentMean(
+    """Return a torchmetrics collection of both metrics of twins, over batches in which twins follow each other."""
+    right_twin: ExperimentMean[Prediction, Targets] = ExperimentMean(
         lambda prediction, targets: right_twin_chosen(prediction, targets, dims)
     )
     metrics: dict[str, Metric | MetricCollection] = {
         "twin_difference_explained": TwinDifferenceExplained(dims),
-        "right_twin_chosen": chosen,
+        "right_twin_chosen": right_twin,
     }
     return MetricCollection(metrics, compute_groups=False, prefix=prefix)
 
 
-def _by_chance(prediction: Prediction, targets: Targets, dims: int) -> Float[Tensor, "batch"]:
-    """How much of |ΔP - ΔD|² the draws of two means are expected to add; nothing where both are the mean of the same draws."""
+def _sampling_variance(prediction: Prediction, targets: Targets, dims: int) -> Float[Tensor, "batch"]:
+    """Return the expected contribution of sampling noise to |ΔP - ΔD|²; zero if both twins share their samples."""
     twin, counted = twin_of(targets.pair), targets.presence[:, None, :, None]
     if prediction.draw_variance is None:
         return torch.zeros(len(twin), dtype=torch.float64, device=twin.device)
@@ -271,7 +260,7 @@ def _squared(difference: Float[Tensor, "batch steps slots dims"]) -> Float[Tenso
 
 
 class MeanOfEachCell(Metric):
-    """Mean over the experiments of each cell; NaN where there are none. Experiments of unknown cell (-1) do not count."""
+    """Mean over the experiments of each cell; NaN for an empty cell. Experiments of unknown cell (-1) do not count."""
 
     total: Tensor
     count: Tensor
@@ -282,39 +271,95 @@ class MeanOfEachCell(Metric):
             self.add_state(name, torch.zeros(num_cells, dtype=dtype), dist_reduce_fx="sum")
 
     def update(self, values: PerExperiment, cell: Tensor) -> None:
-        """Add a batch: a value and the index of a cell per experiment."""
+        """Add a batch of values and indices of cells."""
         known = cell >= 0
         self.total.index_add_(0, cell[known], values[known].to(self.total))  # trainer.precision may have changed it
         self.count.index_add_(0, cell[known], torch.ones_like(cell[known]))
 
     def compute(self) -> Tensor:
-        """(num_cells,) over all batches."""
+        """Return the (num_cells,) means over all batches."""
         return self.total / self.count
 
 
 class StandingConfusion(BinaryConfusionMatrix):
-    """(2, 2) experiments: rows whether the tower of CD truly stands, columns whether it is said to.
+    """Confusion matrix of towers: rows say whether the tower of CD stands, columns whether it is predicted to.
 
-    It stands if every object is stable at every step.
+    A tower stands if every object is stable at every step.
     """
 
     def update(self, prediction: Prediction, targets: Targets) -> None:  # type: ignore[override]
-        """Add a batch of a model that says whether objects are stable."""
+        """Add a batch of a model that predicts stability."""
         assert prediction.stable_logit is not None
         empty = ~targets.presence[:, None]
-        said, true = (
+        predicted, true = (
             (stable | empty).flatten(1).all(dim=1) for stable in (prediction.stable_logit > 0, targets.stable)
         )
-        super().update(said.long(), true.long())
+        super().update(predicted.long(), true.long())
 
 
-Part = TypeVar("Part")
+Item = TypeVar("Item")
 
 
-def of_all_devices(own: list[Part]) -> list[Part]:
-    """The parts of all devices that share a run, in the order of their ranks; alone, what is given."""
+def gather_devices(items: list[Item]) -> list[Item]:
+    """Gather a list from all devices of a run, in the order of their ranks; on one device, return it unchanged."""
     if not distributed.is_initialized():
-        return own
-    every: list[list[Part]] = [[]] * distributed.get_world_size()
-    distributed.all_gather_object(every, own)
-    return [part for of_one in every for part in of_one]
+        return items
+    gathered: list[list[Item]] = [[]] * distributed.get_world_size()
+    distributed.all_gather_object(gathered, items)
+    return [item for device in gathered for item in device]
+
+
+def place_missed(prediction: Prediction, batch: Batch, position: Float[Tensor, "3"]) -> Prediction:
+    """Put objects that the de-renderer missed in C at one position, metres."""
+    missed = (batch.targets.presence & ~batch.inputs.presence)[:, None, :, None]
+    return replace(prediction, position=torch.where(missed, position, prediction.position))
+
+
+def mse_of_copies(batch: Batch, scenario: Scenario, missed_position: Float[Tensor, "3"]) -> dict[str, float]:
+    """Return the test MSE, m², of copy C ("D is C") and of copy B ("D is B"), the reference values of every MSE.
+
+    Args:
+        batch: The test split.
+        scenario: Says which coordinates count.
+        missed_position: Predicted position of objects that the de-renderer missed in C, metres.
+    """
+    mse = position_measures(scenario.task)["mse"]
+    copies = {"copy_c": CopyC(), "copy_b": CopyB()}
+    predictions = {name: place_missed(copy(batch.inputs), batch, missed_position) for name, copy in copies.items()}
+    return {name: mean(mse(each, batch.targets).double().numpy()) for name, each in predictions.items()}
+
+
+def evaluate(prediction: Prediction, targets: Targets, scenario: Scenario) -> dict[str, np.ndarray | Ratio]:
+    """Judge the predictions of a test split.
+
+    Args:
+        prediction: Of all its experiments.
+        targets: Of the same experiments.
+        scenario: Says which coordinates count, and through which camera pixels are measured.
+
+    Returns:
+        (experiment,) values of each metric; NaN if an experiment does not count. Metrics of twins are present if the data
+        have twins. `pixel_error_by_height` (experiment, height) is present if errors are given by height: its mean is the
+        mean of the heights' means, as in the paper's Table 1.
+
+    Raises:
+        CophyError: A prediction is not finite; it must not drop out of a mean.
+    """
+    for value in (prediction.position, prediction.stable_logit):
+        if value is not None and not value[targets.presence[:, None].expand(value.shape[:3])].isfinite().all():
+            raise CophyError(f"the model {NOT_FINITE}")
+    num_objects = int(targets.presence.sum(dim=1).max())
+    measures = position_measures(scenario.task) | pixel_measures(scenario.task, scenario.camera, num_objects)
+    if prediction.stable_logit is not None:
+        measures |= stability_measures()
+    values: dict[str, np.ndarray | Ratio] = {
+        name: measure(prediction, targets).double().numpy() for name, measure in measures.items()
+    }
+    if by_height := [value for name, value in values.items() if name.startswith("pixel_error_")]:
+        values["pixel_error_by_height"] = np.stack(by_height, axis=1)
+    if have_twins(targets.pair):
+        dims = scenario.task.metric_dims
+        difference = twin_difference(prediction, targets, dims)
+        values["twin_difference_explained"] = Ratio(difference.explained.numpy(), difference.size.numpy())
+        values["right_twin_chosen"] = right_twin_chosen(prediction, targets, dims).double().numpy()
+    return values

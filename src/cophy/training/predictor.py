@@ -1,10 +1,6 @@
-"""Stage 2: train and test a predictor of D.
-
-What a network has to return. A model of one's own is easily wrong here, and tensors that broadcast hide it.
-"""
+"""Stage 2: train and test a predictor of D (paper Sec. 4)."""
 
 import math
-from dataclasses import replace
 
 import lightning as L
 import numpy as np
@@ -14,43 +10,43 @@ from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
 from torch import Tensor, nn
 from torchmetrics import MetricCollection
 
-from cophy.dataset.datamodules import Share
+from cophy.dataset.datamodules import CounterfactualDataModule, Share
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
-from cophy.training.augmentation import augment, disturb
+from cophy.training.augmentation import add_position_noise, augment, matrices_of
 from cophy.training.losses import confounder_loss, position_loss, stability_loss
 from cophy.training.metrics import (
+    NOT_FINITE,
     MeanOfEachCell,
     StandingConfusion,
     collection,
+    evaluate,
+    gather_devices,
     have_twins,
     mean_squared_error,
-    of_all_devices,
+    mse_of_copies,
+    place_missed,
     position_measures,
     stability_measures,
     twin_collection,
 )
-from cophy.training.settings import Training, optimisation
+from cophy.training.optimisation import make_optimizer
+from cophy.training.probe import Probed, estimate_confounders, probe, warn_if_constant
+from cophy.training.run import Results
+from cophy.training.settings import Training
 from cophy.types import Batch, Prediction, Targets, map_tensors
-
-NOT_FINITE = "predicts what is not finite: lower training.learning_rate, or look for a division by zero in the model"
 
 
 def estimate_dim(network: nn.Module) -> int:
-    """Width of the estimate U that a network says it makes; 0 if it makes none."""
+    """Return the width of a network's estimate U; 0 if it has none."""
     return int(getattr(network, "estimate_dim", 0))
 
 
 def check_shapes(prediction: Prediction, targets: Targets, network: nn.Module) -> None:
-    """Compare what a network returned with what the targets ask for.
-
-    Args:
-        prediction: What it returned.
-        targets: What it is judged by.
-        network: Named in the error; its `estimate_dim`, if it has one, is the width of U.
+    """Compare the output of a network with its targets: a user's model may be wrong, and broadcasting would hide it.
 
     Raises:
-        CophyError: A part is missing, or has another type or shape.
+        CophyError: A field is missing, or has another type or shape.
     """
     name, width = type(network).__name__, estimate_dim(network)
     if not isinstance(prediction, Prediction):
@@ -76,8 +72,8 @@ class PredictionModule(L.LightningModule):
     """Any network from `Inputs` to `Prediction`, under the paper's losses and metrics.
 
     Attributes:
-        tested: After a test, on the CPU: the predictions and what they were made for.
-        standing: After a validation of towers: `StandingConfusion`; None where nothing is said about stability.
+        tested: After a test, on the CPU: the predictions and their batch.
+        standing: After a validation of towers: `StandingConfusion`; None if the network does not predict stability.
     """
 
     tested: tuple[Prediction, Batch]
@@ -91,33 +87,62 @@ class PredictionModule(L.LightningModule):
         training: Training,
         scenario: Scenario,
         *,
-        augmentations: np.ndarray,
-        missed_position: Float[Tensor, "3"],
         seed: int = 0,
     ) -> None:
         """Wrap a network.
 
         Args:
             network: From `Inputs` to `Prediction`.
-            training: Weights of the losses, and the learning rate.
-            scenario: How predictions are judged, and the values of confounders.
-            augmentations: (augmentation, 2, 2) matrices, by which training experiments are turned at random.
-            missed_position: Where an object is predicted that the de-renderer missed in C, metres.
-            seed: Of the training: how experiments are turned, and noise, follow from it, the epoch and the step.
+            training: Weights of the losses, augmentation, optimiser.
+            scenario: Says which coordinates count, and the values of confounders.
+            seed: Augmentation and noise are functions of it, the epoch and the step.
         """
         super().__init__()
         self.network, self.training_settings, self.seed = network, training, seed
-        self.register_buffer("missed_position", missed_position, persistent=False)
-        self.register_buffer("augmentations", torch.from_numpy(augmentations).float(), persistent=False)
+        # where objects are predicted that the de-renderer missed in C, metres; see `setup`
+        self.register_buffer("missed_position", torch.zeros(3), persistent=False)
+        matrices = torch.from_numpy(matrices_of(scenario, training.augmentation)).float()
+        self.register_buffer("augmentations", matrices, persistent=False)
         self.confounder_heads = _confounder_heads(network, scenario) if training.confounder_weight else None
         measures = {"position": position_measures(scenario.task), "stability": stability_measures()}
         self.metrics = nn.ModuleDict(
             {f"in_{s}_{kind}": collection(m, f"{s}/") for s in ("train", "val") for kind, m in measures.items()}
         )
-        self.metrics["in_val_twins"] = twin_collection(scenario.task.metric_dims, "val/")  # in training, twins part
+        self.metrics["in_val_twins"] = twin_collection(scenario.task.metric_dims, "val/")  # training separates twins
         self.cells, self.squared_error = scenario.cells(), mean_squared_error(scenario.task.metric_dims)
         self.mse_of_cells = MeanOfEachCell(len(self.cells))
         self.confusion = StandingConfusion() if scenario.statics is not None else None
+        self.scenario = scenario
+
+    def setup(self, stage: str) -> None:
+        """Take from the training data where missed objects are predicted."""
+        data = getattr(self.trainer, "datamodule", None)
+        if isinstance(data, CounterfactualDataModule):
+            self.missed_position.copy_(data.mean_position)
+
+    def make_figures(self, every_n_epochs: int) -> L.Callback:
+        """Return the callback that draws validation examples."""
+        from cophy.training.figures import PredictionFigures  # no weight depends on figures, see cophy.training.reuse
+
+        return PredictionFigures(self.scenario, every_n_epochs)
+
+    def results(self, data: CounterfactualDataModule) -> Results:
+        """Return all metrics of the test and the predictions."""
+        prediction, batch = self.tested
+        targets = batch.targets
+        values = evaluate(prediction, targets, self.scenario)
+        if prediction.confounder_estimate is not None:
+            tested = Probed(prediction.confounder_estimate, targets)
+            warn_if_constant(tested)
+            if data.knows_confounders and not data.estimated:
+                train = data.train.batch
+                estimate = estimate_confounders(
+                    self.network, train.inputs, batch_size=self.training_settings.batch_size
+                )
+                assert estimate is not None
+                values |= probe(Probed(estimate, train.targets), tested)
+        copies = mse_of_copies(batch, self.scenario, data.mean_position)
+        return Results(values, targets.pair.numpy(), copies, prediction_arrays(prediction, targets))
 
     def forward(self, batch: Batch) -> Prediction:
         """Predict D; only `batch.inputs` reaches the network."""
@@ -130,7 +155,7 @@ class PredictionModule(L.LightningModule):
         noise = self.training_settings.position_noise
         with torch.autocast(self.device.type, enabled=False):  # positions keep their precision in mixed training
             batch = augment(batch, self.augmentations, draw, share)
-            batch = disturb(batch, noise, draw, share) if noise else batch
+            batch = add_position_noise(batch, noise, draw, share) if noise else batch
         prediction = self(batch)
         self._measure("train", prediction, batch)
         return self._loss("train", prediction, batch)
@@ -154,8 +179,8 @@ class PredictionModule(L.LightningModule):
 
     def on_validation_epoch_end(self) -> None:
         if len(self.cells) > 1:
-            found = zip(self.cells, self.mse_of_cells.compute().tolist(), strict=True)
-            self.log_dict({f"val/mse_{cell}": mse for cell, mse in found if not math.isnan(mse)}, sync_dist=True)
+            errors = zip(self.cells, self.mse_of_cells.compute().tolist(), strict=True)
+            self.log_dict({f"val/mse_{cell}": mse for cell, mse in errors if not math.isnan(mse)}, sync_dist=True)
         if self.confusion is not None and self.confusion.update_called:
             self.standing = self.confusion.compute().cpu().numpy()
 
@@ -163,20 +188,20 @@ class PredictionModule(L.LightningModule):
         self._test_steps: list[tuple[Prediction, Batch]] = []
 
     def test_step(self, batch: Batch) -> None:
-        self._test_steps.append((map_tensors(_kept, self(batch)), map_tensors(_kept, batch)))
+        self._test_steps.append((map_tensors(_to_cpu, self(batch)), map_tensors(_to_cpu, batch)))
 
     def on_test_epoch_end(self) -> None:
-        predictions, batches = zip(*of_all_devices(self._test_steps), strict=True)
+        predictions, batches = zip(*gather_devices(self._test_steps), strict=True)
         self.tested = (
             map_tensors(lambda *parts: torch.cat(parts), *predictions),
             map_tensors(lambda *parts: torch.cat(parts), *batches),
         )
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        return optimisation(self, self.training_settings)
+        return make_optimizer(self, self.training_settings)
 
     def _loss(self, split: str, prediction: Prediction, batch: Batch) -> Float[Tensor, ""]:
-        """The weighted sum of the terms (paper Sec. 4.2, Training); each is logged."""
+        """Log the terms of the loss and return their weighted sum (paper Sec. 4.2, Training)."""
         settings, targets = self.training_settings, batch.targets
         terms = {"position_loss": (settings.position_weight, position_loss(prediction, targets))}
         if prediction.stable_logit is not None:
@@ -186,8 +211,8 @@ class PredictionModule(L.LightningModule):
             terms["confounder_loss"] = settings.confounder_weight, confounder_loss(logits, targets)
         loss = torch.stack([weight * value for weight, value in terms.values()]).sum()
         values = {f"{split}/{name}": value for name, (_, value) in terms.items()}
-        for named, in_bar in ((values, False), ({f"{split}/loss": loss}, split == "train")):
-            self.log_dict(named, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True, prog_bar=in_bar)
+        for logged, in_bar in ((values, False), ({f"{split}/loss": loss}, split == "train")):
+            self.log_dict(logged, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True, prog_bar=in_bar)
         return loss
 
     def _measure(self, split: str, prediction: Prediction, batch: Batch) -> None:
@@ -203,26 +228,28 @@ class PredictionModule(L.LightningModule):
                 self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
 
 
-def place_missed(prediction: Prediction, batch: Batch, position: Float[Tensor, "3"]) -> Prediction:
-    """The prediction, with the objects that the de-renderer missed in C at one position.
+def prediction_arrays(prediction: Prediction, targets: Targets) -> dict[str, np.ndarray]:
+    """Return the arrays of predictions.npz, see `cophy.training.run.read_predictions`."""
+    tensors = {
+        "initial": targets.initial,
+        "presence": targets.presence,
+        "target": targets.position,
+        "position": prediction.position,
+        "pair": targets.pair,
+    }
+    if prediction.draw_variance is not None:
+        tensors["draw_variance"] = prediction.draw_variance
+    return {name: tensor.numpy() for name, tensor in tensors.items()}
 
-    Args:
-        prediction: Of D.
-        batch: What it was made for.
-        position: Metres.
-    """
-    missed = (batch.targets.presence & ~batch.inputs.presence)[:, None, :, None]
-    return replace(prediction, position=torch.where(missed, position, prediction.position))
 
-
-def _kept(tensor: Tensor) -> Tensor:
-    """On the CPU, and at least in single precision: NumPy knows no bfloat16."""
+def _to_cpu(tensor: Tensor) -> Tensor:
+    """Copy to the CPU, at least in single precision: NumPy knows no bfloat16."""
     reduced = tensor.dtype in (torch.bfloat16, torch.float16)
     return tensor.float().cpu() if reduced else tensor.cpu()
 
 
 def _confounder_heads(network: nn.Module, scenario: Scenario) -> nn.ModuleList:
-    """A linear classifier of mass and one of friction on every object's U (paper, appendix)."""
+    """Return linear classifiers of mass and of friction on every object's U (paper, appendix)."""
     width = estimate_dim(network)
     if not width:
         raise CophyError(

@@ -1,4 +1,4 @@
-"""The confounder probe: what U says about mass and friction, by linear classifiers on it (paper Table 5)."""
+"""The confounder probe: linear classifiers of mass and friction on the estimate U (paper Table 5)."""
 
 import logging
 from typing import NamedTuple
@@ -13,8 +13,7 @@ from cophy.types import Inputs, Targets, move_to, take
 
 log = logging.getLogger(__name__)
 
-MAX_VALUES = 1000  # more than any grid has of friction
-SAME = 1e-4  # ours: U spreads by 0.15 and more over blocks, and by 6e-9 where its GRU is saturated
+MIN_SPREAD = 1e-4  # ours: U has a standard deviation of 0.15 and more over blocks, and of 6e-9 if its GRU is saturated
 
 
 class Probed(NamedTuple):
@@ -24,17 +23,10 @@ class Probed(NamedTuple):
     targets: Targets
 
 
-def estimate(network: nn.Module, inputs: Inputs, *, batch_size: int) -> Float[Tensor, "batch slots hidden"] | None:
-    """The estimate U of all experiments.
-
-    Args:
-        network: From `Inputs` to `Prediction`.
-        inputs: Any number of experiments.
-        batch_size: How many of them at once.
-
-    Returns:
-        U, or None if the network makes none.
-    """
+def estimate_confounders(
+    network: nn.Module, inputs: Inputs, *, batch_size: int
+) -> Float[Tensor, "batch slots hidden"] | None:
+    """Return the estimate U of all experiments, or None if the network has none."""
     parts, weights = [], next(network.parameters(), torch.zeros(()))
     inputs = move_to(inputs, weights.device, weights.dtype)
     with torch.no_grad():
@@ -47,12 +39,12 @@ def estimate(network: nn.Module, inputs: Inputs, *, batch_size: int) -> Float[Te
 
 
 def warn_if_constant(probed: Probed) -> None:
-    """Say that a training failed: U is the same for all objects, so nothing of AB reaches the prediction.
+    """Warn that a training failed if U is the same for all objects, so that nothing of AB reaches the prediction.
 
-    It happens where the features that go into the GRU over AB grow until it is saturated; gradients vanish then.
+    It happens when the inputs of the GRU over AB grow until it is saturated; then gradients vanish.
     """
     estimates = probed.estimate[probed.targets.observed_presence]
-    if len(estimates) > 1 and estimates.std(dim=0).max() < SAME:
+    if len(estimates) > 1 and estimates.std(dim=0).max() < MIN_SPREAD:
         log.warning(
             "the estimate U is the same for all objects, so D is predicted without AB: this training failed. Lower "
             "training.learning_rate, or try another seed; val/twin_difference_explained above 0 shows that AB is read"
@@ -60,42 +52,47 @@ def warn_if_constant(probed: Probed) -> None:
 
 
 def probe(train: Probed, test: Probed) -> dict[str, np.ndarray]:
-    """Ask logistic regressions, fitted on the training split, for mass and friction of the objects of AB.
+    """Classify mass and friction of the objects of AB by logistic regressions that are fitted on the training split.
 
     Returns:
-        (experiment,) share of objects classified right: mass and friction together (`probe_accuracy`), each alone,
-        and by always answering the most frequent combination of the training split (`probe_chance`).
+        (experiment,) share of objects classified correctly: mass and friction together (`probe_accuracy`), each alone,
+        and by always predicting the most frequent combination of the training split (`probe_chance`).
     """
-    from sklearn.linear_model import LogisticRegression  # half a second to import, that no training waits for
+    from sklearn.linear_model import LogisticRegression  # takes half a second to import
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
-    fitted, tested = (each.estimate[each.targets.observed_presence].float().numpy() for each in (train, test))
-    seen, asked = (_classes(each.targets) for each in (train, test))
+    train_estimates, test_estimates = (
+        each.estimate[each.targets.observed_presence].float().numpy() for each in (train, test)
+    )
+    train_classes, test_classes = (_classes(each.targets) for each in (train, test))
 
-    def per_experiment(right: np.ndarray) -> np.ndarray:
+    def per_experiment(correct: np.ndarray) -> np.ndarray:
         presence = test.targets.observed_presence
         scattered = torch.zeros(presence.shape, dtype=torch.float64)
-        scattered[presence] = torch.from_numpy(right.astype(np.float64))
+        scattered[presence] = torch.from_numpy(correct.astype(np.float64))
         return over_objects(scattered, presence).numpy()
 
     def accuracy(name: str) -> np.ndarray:
-        values = np.unique(seen[name])
+        values = np.unique(train_classes[name])
         if len(values) == 1:  # a confounder that is a constant
-            return per_experiment(asked[name] == values[0])
+            return per_experiment(test_classes[name] == values[0])
         classifier = make_pipeline(StandardScaler(), LogisticRegression(max_iter=1000))
-        return per_experiment(classifier.fit(fitted, seen[name]).predict(tested) == asked[name])
+        classifier.fit(train_estimates, train_classes[name])
+        return per_experiment(classifier.predict(test_estimates) == test_classes[name])
 
-    values, counts = np.unique(seen["mass and friction"], return_counts=True)
+    values, counts = np.unique(train_classes["mass and friction"], return_counts=True)
     most_frequent = values[counts.argmax()]
     return {
         "probe_accuracy": accuracy("mass and friction"),
         "probe_mass_accuracy": accuracy("mass"),
         "probe_friction_accuracy": accuracy("friction"),
-        "probe_chance": per_experiment(asked["mass and friction"] == most_frequent),
+        "probe_chance": per_experiment(test_classes["mass and friction"] == most_frequent),
     }
 
 
 def _classes(targets: Targets) -> dict[str, np.ndarray]:
-    mass, friction = targets.confounder_class[targets.observed_presence].numpy().T
-    return {"mass": mass, "friction": friction, "mass and friction": mass * MAX_VALUES + friction}
+    """Return (object,) classes of mass, of friction, and of both together."""
+    classes = targets.confounder_class[targets.observed_presence].numpy()
+    mass, friction = classes.T
+    return {"mass": mass, "friction": friction, "mass and friction": mass * 1000 + friction}  # grids are smaller

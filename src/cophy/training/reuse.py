@@ -1,171 +1,198 @@
-"""Train once what several runs share, and go on with what was stopped.
+"""Train once what several runs share, and continue what was interrupted.
 
-3to3 and 3to4, for example, differ only in what they are tested on. A training leaves its fingerprint, a hash of all that its
-weights depend on, beside its checkpoints: when it begins, and when it is finished.
+3to3 and 3to4, for example, differ only in their test data. Beside its checkpoints a training stores a fingerprint: when it
+begins (begun.json) and when it ends (finished.json). The fingerprint hashes the files of cophy that training imports, the
+user's model with the modules beside it, the version of torch, the configuration that weights depend on, and the checksums
+of the training data. The device is not part of it.
 """
 
+import ast
 import hashlib
 import inspect
 import json
 import logging
 import os
 import shutil
+import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from torch import nn
 
 import cophy
 from cophy.atomic_files import read_plain, sha256, write_atomically
-from cophy.training.checkpoints import Origin, read_bytes
+from cophy.errors import CophyError
+from cophy.training.checkpoints import read_bytes
 from cophy.training.run import Run
 
 log = logging.getLogger(__name__)
 
+PACKAGE = Path(cophy.__file__).parent
 FINISHED, BEGUN = "finished.json", "begun.json"
 STOPPED = "last_of_stopped.ckpt"
 KEYS = {FINISHED: {"fingerprint", "training_seconds", "validation", "resumed"}, BEGUN: {"fingerprint", "resumed"}}
-CHECKPOINTS = ("best.ckpt", "last.ckpt")
-# keys of `trainer` that no weight depends on
-WITHOUT_EFFECT = {
+PAIR = ("best.ckpt", "last.ckpt")
+WITHOUT_EFFECT = {  # keys of `trainer` that are not part of the fingerprint
     *("enable_progress_bar", "enable_model_summary", "log_every_n_steps", "limit_test_batches", "profiler"),
-    *(
-        "accelerator",
-        "devices",
-        "num_nodes",
-        "strategy",
-    ),  # they round otherwise; of several devices each averages over its own part of a batch
-}
-# rooms of the package that no weight depends on: they only show what others computed. All others count, also those of
-# which only a part does: a training too many costs minutes, a stale checkpoint a wrong table
-SHOWING = ("drawing", "report")
-
-
-_PACKAGE = Path(cophy.__file__).parent
-_CODE = {  # as it was when the command began: an edit while data are generated is of the next command
-    path: path.read_bytes() for path in _PACKAGE.rglob("*.py") if path.relative_to(_PACKAGE).parts[0] not in SHOWING
+    *("accelerator", "devices", "num_nodes", "strategy"),  # they only change rounding
 }
 
 
-class Trained(NamedTuple):
-    """A finished training.
+class Start(NamedTuple):
+    """How a training starts.
 
-    seconds: how many it took. validation: the metrics of its best epoch. resumed: how often it was stopped and went on.
+    Attributes:
+        finished: Facts about an identical finished training, whose checkpoints are now this run's; None if there is none.
+        checkpoint: Where training resumes, or None.
+        resumed: How often it was interrupted before.
     """
 
-    seconds: float
-    validation: dict[str, float]
+    finished: dict[str, Any] | None
+    checkpoint: Path | None
     resumed: int
 
 
-def fingerprint(
-    network: nn.Module, origin: Origin, settings: dict[str, Any], *, resumed_from: Path | None = None
-) -> str:
-    """Hash of all that the weights depend on: training data, model, training, trainer, seed, code, version of torch.
+def hash_code(*objects: object) -> str:
+    """Hash the source files that the classes of some objects import from cophy, and files beside classes of the user.
 
-    The code is that of this package and of all modules beside the model's own. Which device was used is not part of it.
+    Call it before data are generated, so that an edit in the meantime counts for the next command.
+    """
+    classes = [type(each) for each in objects]
+    paths = set(imported_files({each.__module__ for each in classes if each.__module__.startswith("cophy.")}))
+    for each in classes:
+        source = inspect.getsourcefile(each)
+        if source and PACKAGE not in Path(source).parents:
+            paths |= set(Path(source).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(paths))).hexdigest()
+
+
+def imported_files(modules: set[str]) -> list[Path]:
+    """Return the files of some modules of cophy and of all that they import from cophy at module level."""
+    files: dict[str, Path] = {}
+    remaining = sorted(modules)
+    while remaining:
+        name = remaining.pop()
+        if name not in files:
+            files[name] = Path(str(sys.modules[name].__file__))
+            remaining += _imports(ast.parse(files[name].read_bytes()))
+    return sorted(files.values())
+
+
+def _imports(tree: ast.Module) -> set[str]:
+    """Return the modules of cophy that a file imports at module level, also through a package's `__init__`."""
+    modules = set()
+    for node in tree.body:
+        if isinstance(node, ast.Import):
+            modules |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            modules.add(str(node.module))
+            for alias in node.names:
+                value = getattr(sys.modules.get(str(node.module)), alias.name, None)
+                modules |= {str(getattr(value, "__module__", None)), f"{node.module}.{alias.name}"}
+    return {name for name in modules if name.split(".")[0] == "cophy" and name in sys.modules}
+
+
+def fingerprint(
+    origin: dict[str, Any],
+    *,
+    trainer: dict[str, Any],
+    threads: int,
+    code: str,
+    checksums: dict[str, Any],
+    resumed_from: Path | None = None,
+) -> str:
+    """Hash everything that the weights depend on.
 
     Args:
-        network: The network to train.
-        origin: Says what it is and what it is trained on.
-        settings: `trainer` (arguments of Lightning's Trainer), `seed` of the training, `threads` of torch.
-        resumed_from: The checkpoint that it goes on from, of another training.
+        origin: The configuration as stored in checkpoints.
+        trainer: Arguments of `lightning.Trainer`.
+        threads: Threads of torch.
+        code: See `hash_code`.
+        checksums: Of the training data.
+        resumed_from: The checkpoint of another training that this one starts from.
     """
-    depends_on = {
-        "data": origin.trained_on,
-        "model": origin.model,
-        "training": origin.training,
-        **settings,
-        "trainer": {key: value for key, value in settings["trainer"].items() if key not in WITHOUT_EFFECT},
-        "code": _hash_of_sources(network),
+    content = {
+        **{key: origin[key] for key in ("trained_on", "model", "training", "seed")},
+        "trainer": {key: value for key, value in trainer.items() if key not in WITHOUT_EFFECT},
+        "threads": threads,
+        "code": code,
         "torch": torch.__version__,
+        "checksums": checksums,
         "resumed_from": sha256(resumed_from) if resumed_from else None,
     }
-    return hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def find_checkpoints(run: Run, wanted: str) -> Path | None:
-    """Checkpoints of a finished training with this fingerprint: of the run itself, or of its neighbours in other splits."""
-    places = [run.directory]
+def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> Start:
+    """Find a finished or interrupted training with this fingerprint; otherwise make room for a new one.
+
+    Args:
+        run: The run.
+        wanted: Fingerprint of its training.
+        reuse: Whether earlier trainings are looked for.
+        ckpt: The checkpoint (ckpt=) that the training starts from.
+    """
+    if reuse and (checkpoints := _find_finished(run, wanted)) is not None:
+        log.info("already trained on the same data with the same settings: %s (reuse=false trains again)", checkpoints)
+        return Start(_adopt(checkpoints, run), None, 0)
+    last, stopped = run.checkpoints / "last.ckpt", _read(run.checkpoints, BEGUN)
+    if reuse and stopped.get("fingerprint") == wanted and _is_complete(run.checkpoints):
+        log.info("continues where it stopped: %s (reuse=false trains again)", last)
+        resumed = stopped["resumed"] + 1
+        _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
+        return Start(None, last, resumed + (ckpt is not None))
+    best = read_bytes(ckpt.with_name("best.ckpt")) if ckpt and ckpt.with_name("best.ckpt").is_file() else None
+    is_last = ckpt is not None and last.exists() and ckpt.samefile(last)
+    if last.exists() and (stopped or is_last):
+        log.warning(
+            "%s belongs to a training with other settings or code, or a shorter one: it is kept as %s; this one starts anew",
+            *(last, last.with_name(STOPPED)),
+        )
+        os.replace(last, last.with_name(STOPPED))
+    _remove_checkpoints(run)
+    if best is not None:  # the best epoch so far may remain the best
+        run.checkpoints.mkdir(parents=True, exist_ok=True)
+        write_atomically(run.checkpoints / "best.ckpt", best)
+    _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": 0})
+    return Start(None, last.with_name(STOPPED) if is_last else ckpt, int(ckpt is not None))
+
+
+def record_finished(run: Run, wanted: str, facts: dict[str, Any]) -> None:
+    """Store the fingerprint and facts of a finished training: training_seconds, resumed, validation."""
+    _write(run.checkpoints, FINISHED, {"fingerprint": wanted, **facts})
+    (run.checkpoints / BEGUN).unlink(missing_ok=True)
+
+
+def _find_finished(run: Run, wanted: str) -> Path | None:
+    """Return checkpoints of a finished training with this fingerprint: the run's own, or those of another split."""
+    directories = [run.directory]
     if run.root is not None:
         scenario, _, model, ablation, _, seed = run.place.parts
-        places += sorted(run.root.glob(str(Path(scenario, "*", model, ablation, "*", seed))))
-    for place in places:
-        checkpoints = place / "checkpoints"
-        if _read(checkpoints, FINISHED).get("fingerprint") == wanted and _whole(checkpoints):
+        directories += sorted(run.root.glob(str(Path(scenario, "*", model, ablation, "*", seed))))
+    for checkpoints in (directory / "checkpoints" for directory in directories):
+        if _read(checkpoints, FINISHED).get("fingerprint") == wanted and _is_complete(checkpoints):
             return checkpoints
     return None
 
 
-def begin(run: Run, wanted: str, *, anew: bool, given: Path | None = None) -> int:
-    """Note that a training begins in the run's directory, or goes on there: with this fingerprint, after it was stopped.
-
-    Args:
-        run: The run.
-        wanted: Fingerprint of its training.
-        anew: Whether it begins in any case.
-        given: The checkpoint that it begins with; its best one counts on.
-
-    Returns:
-        How often it was stopped before; 0 where it begins, and then no checkpoint of another one can pass for its own.
-    """
-    known = _read(run.checkpoints, BEGUN)
-    goes_on = not anew and known.get("fingerprint") == wanted and _whole(run.checkpoints)
-    if not goes_on:
-        best = read_bytes(given.with_name("best.ckpt")) if given and given.with_name("best.ckpt").is_file() else None
-        _set_aside(run.checkpoints, known, given)
-        forget_checkpoints(run)
-        if best is not None:
-            run.checkpoints.mkdir(parents=True, exist_ok=True)
-            write_atomically(run.checkpoints / "best.ckpt", best)
-    resumed = known["resumed"] + 1 if goes_on else 0
-    _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
-    return int(resumed)
-
-
-def adopt(found: Path, run: Run) -> Trained:
-    """Copy finished checkpoints into the run."""
-    if found.resolve() != run.checkpoints.resolve():
-        forget_checkpoints(run)
+def _adopt(checkpoints: Path, run: Run) -> dict[str, Any]:
+    """Copy finished checkpoints into the run and return the facts about their training."""
+    if checkpoints.resolve() != run.checkpoints.resolve():
+        _remove_checkpoints(run)
         run.checkpoints.mkdir(parents=True, exist_ok=True)
-        for name in (*CHECKPOINTS, FINISHED):
-            shutil.copyfile(found / name, run.checkpoints / name)
-    about = _read(run.checkpoints, FINISHED)
-    return Trained(float(about["training_seconds"]), about["validation"], int(about["resumed"]))
+        for name in (*PAIR, FINISHED):
+            shutil.copyfile(checkpoints / name, run.checkpoints / name)
+    facts = _read(run.checkpoints, FINISHED)
+    return {key: facts[key] for key in ("training_seconds", "resumed", "validation")}
 
 
-def forget_checkpoints(run: Run) -> None:
-    """Before training anew: what lies there is not what will be tested."""
-    for name in (FINISHED, BEGUN, *CHECKPOINTS):
+def _remove_checkpoints(run: Run) -> None:
+    for name in (FINISHED, BEGUN, *PAIR):
         (run.checkpoints / name).unlink(missing_ok=True)
 
 
-def record(run: Run, wanted: str, trained: Trained) -> None:
-    """After training: write down what the checkpoints in the run's directory are.
-
-    Args:
-        run: The run.
-        wanted: Fingerprint of its training.
-        trained: What is known of it.
-    """
-    about = {"training_seconds": trained.seconds, "validation": trained.validation, "resumed": trained.resumed}
-    _write(run.checkpoints, FINISHED, {"fingerprint": wanted, **about})
-    (run.checkpoints / BEGUN).unlink(missing_ok=True)
-
-
-def _set_aside(checkpoints: Path, known: dict[str, Any], given: Path | None) -> None:
-    """Keep the last checkpoint of an unfinished training of other settings or code, and the one that is given."""
-    last = checkpoints / "last.ckpt"
-    is_given = given is not None and last.exists() and given.exists() and given.samefile(last)
-    if last.exists() and (known or is_given):
-        kept = checkpoints / STOPPED
-        os.replace(last, kept)
-        log.warning("%s is of a training with other settings or code, or a shorter one: it is kept as %s", last, kept)
-
-
-def _whole(checkpoints: Path) -> bool:
-    return all((checkpoints / name).is_file() for name in CHECKPOINTS)
+def _is_complete(checkpoints: Path) -> bool:
+    return all((checkpoints / name).is_file() for name in PAIR)
 
 
 def _write(checkpoints: Path, name: str, content: dict[str, Any]) -> None:
@@ -174,15 +201,14 @@ def _write(checkpoints: Path, name: str, content: dict[str, Any]) -> None:
 
 
 def _read(checkpoints: Path, name: str) -> dict[str, Any]:
+    """Return what a training stored about itself; nothing if it stored nothing."""
+    path = checkpoints / name
     try:
-        content = json.loads(read_plain(checkpoints / name))
-    except (OSError, ValueError):
+        content = json.loads(read_plain(path))
+    except FileNotFoundError:
         return {}
-    return content if isinstance(content, dict) and KEYS[name] <= content.keys() else {}
-
-
-def _hash_of_sources(network: nn.Module) -> str:
-    own = inspect.getsourcefile(type(network))
-    beside = {path: path.read_bytes() for path in Path(own).parent.glob("*.py")} if own else {}
-    sources = beside | _CODE
-    return hashlib.sha256(b"".join(sources[path] for path in sorted(sources))).hexdigest()
+    except ValueError as error:
+        raise CophyError(f"{path} is damaged ({error}): delete it to train again") from error
+    if not isinstance(content, dict) or not KEYS[name] <= content.keys():
+        raise CophyError(f"{path} lacks {', '.join(sorted(KEYS[name]))}: delete it to train again")
+    return content

@@ -1,174 +1,231 @@
-"""Lightning's Trainer as every run uses it: TensorBoard, the best and the last checkpoint, figures."""
+"""Lightning's Trainer as every run uses it: callbacks, loggers, checkpoints, devices.
 
-import logging
+On several devices there is one process per device, started by Lightning or SLURM (docs/sweeps.md), and each runs the whole
+command. The first process decides and writes.
+"""
+
 import os
+import signal
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import lightning as L
+import torch
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.accelerators import CPUAccelerator
-from lightning.pytorch.callbacks import LearningRateMonitor, ModelSummary
+from lightning.pytorch.callbacks import LearningRateMonitor
 from lightning.pytorch.loggers import Logger
+from lightning.pytorch.plugins.environments import SLURMEnvironment
+from lightning.pytorch.strategies import DDPStrategy
+from lightning.pytorch.strategies.launchers import _SubprocessScriptLauncher
+from lightning.pytorch.utilities.exceptions import SIGTERMException
+from torch import nn
+from torch.nn.modules.batchnorm import _BatchNorm
 
 from cophy.errors import CophyError
-from cophy.training.callbacks import BestCheckpoint, GradientNorm, LastCheckpoint, ResumeHint, StopTogether
-from cophy.training.checkpoints import Origin, WholeCheckpoints
+from cophy.training.callbacks import (
+    BestCheckpoint,
+    BestValidation,
+    GradientNorm,
+    LastCheckpoint,
+    NetworkSize,
+    ResumeHint,
+    StopTogether,
+    Stopwatch,
+)
+from cophy.training.checkpoints import WholeCheckpoints, flatten
 from cophy.training.figures import Curves
-from cophy.training.run import Run, plugins
+from cophy.training.run import Run, is_first
 
-log = logging.getLogger(__name__)
+MAX_PROCESSES_PER_CORE = 8  # of a run on CPUs; more would only fill the memory
 
-MOST_PER_CORE = 8  # processes of a run on CPUs; more would only fill the memory
-
-# the whole data set lies in memory and is sliced: Lightning's advice to add workers does not apply
+# the whole dataset is in memory and is sliced: Lightning's advice to add workers does not apply
 warnings.filterwarnings("ignore", ".*does not have many workers.*")
 warnings.filterwarnings("ignore", "The `srun` command is available.*")  # runs on a cluster are started by submitit
 warnings.filterwarnings("ignore", "Checkpoint directory .* exists and is not empty")  # it is the run's own
-warnings.filterwarnings("ignore", ".*LeafSpec.*")  # of Lightning 2.6 with torch 2.13, nothing a user can do
+warnings.filterwarnings("ignore", ".*LeafSpec.*")  # Lightning 2.6 with torch 2.13
+
+Decision = TypeVar("Decision")
 
 
-class Size(ModelSummary):
-    """Say how large the network is, in one line; Lightning's table counts "0 FLOPs" besides."""
-
-    def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        if trainer.is_global_zero:
-            count = sum(each.numel() for each in pl_module.parameters() if each.requires_grad)
-            log.info("%s: %s parameters are trained", type(pl_module.network).__name__, f"{count:,}")
-
-
-def loggers_of(run: Run, chosen: dict[str, Any]) -> list[Logger]:
-    """Where curves, figures and final metrics go.
+def make_trainer(
+    run: Run,
+    origin: dict[str, Any],
+    figures: L.Callback,
+    *,
+    loggers: dict[str, Any],
+    arguments: dict[str, Any],
+) -> L.Trainer:
+    """Build a Trainer that keeps the weights with the smallest validation MSE, and the last checkpoint for resuming.
 
     Args:
-        run: They go below its directory, unless a logger has a server; curves into a folder of all runs, see `_place`.
-        chosen: By `logger=`: a `_target_` and its arguments each (conf/logger).
+        run: Says where files go.
+        origin: The configuration that every checkpoint stores.
+        figures: Callback that draws validation examples.
+        loggers: `_target_` and arguments of each logger (conf/logger).
+        arguments: Of `lightning.Trainer` (conf/trainer).
+
+    Raises:
+        CophyError: A logger or callback cannot be built, or Lightning refuses an argument.
     """
-    return [_made(f"logger={name}", arguments, **_place(run, arguments)) for name, arguments in chosen.items()]
+    built_loggers = [
+        _instantiate(f"logger={name}", keys, **_log_directory(run, keys)) for name, keys in loggers.items()
+    ]
+    best = BestCheckpoint(
+        run.checkpoints, filename="best", monitor="val/mse", save_weights_only=True, enable_version_counter=False
+    )
+    # A callback of its own: with save_last=True Lightning 2.6 writes the last checkpoint only when it is the best.
+    # It is written after every epoch, also if validation is rarer.
+    last = LastCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True)
+    callbacks = [
+        *(best, last, StopTogether()),
+        *([LearningRateMonitor("epoch")] if loggers else []),
+        *(GradientNorm(), figures, BestValidation(run.checkpoints / "best.ckpt"), Stopwatch(str(run.place))),
+        *(_instantiate(f"callbacks={name}", keys) for name, keys in origin["training"]["callbacks"].items()),
+        ResumeHint(run.checkpoints / "last.ckpt"),
+        *([NetworkSize()] if arguments["enable_model_summary"] else []),
+    ]
+    # submitit requeues preempted jobs, so Lightning must not
+    slurm = [SLURMEnvironment(auto_requeue=False)] if SLURMEnvironment.detect() else []
+    try:
+        trainer = L.Trainer(
+            logger=built_loggers,
+            callbacks=callbacks,
+            default_root_dir=run.directory,
+            plugins=[WholeCheckpoints(origin, run.checkpoints), *slurm],
+            use_distributed_sampler=False,  # the datamodules share batches among devices themselves
+            **arguments,
+        )
+    except (TypeError, ValueError, RuntimeError, MisconfigurationException) as error:  # it takes nothing but arguments
+        raise CophyError(f"trainer: {error}") from error
+    cores = os.cpu_count() or 1
+    if isinstance(trainer.accelerator, CPUAccelerator) and trainer.num_devices > MAX_PROCESSES_PER_CORE * cores:
+        raise CophyError(f"trainer.devices={trainer.num_devices} starts as many processes, but there are {cores} cores")
+    return trainer
 
 
-def _place(run: Run, arguments: dict[str, Any]) -> dict[str, str]:
-    """Where a logger's files go: into the run's directory, but for curves, which TensorBoard names by their folder."""
-    if run.root is not None and arguments.get("_target_") == f"{Curves.__module__}.{Curves.__name__}":
-        return {"save_dir": str(run.root), "name": f"{arguments['name']}/{run.short_name}"}
-    return {"save_dir": str(run.directory)}
+def fit(
+    trainer: L.Trainer, module: L.LightningModule, data: L.LightningDataModule, ckpt: Path | None
+) -> dict[str, Any]:
+    """Train, and return training_seconds and the validation metrics of the best epoch.
+
+    Raises:
+        CophyError: Lightning refuses a combination of arguments.
+        SystemExit: The process was asked to end (SIGTERM).
+    """
+    try:
+        trainer.fit(module, data, ckpt_path=ckpt, weights_only=True)
+    except MisconfigurationException as error:
+        raise CophyError(f"trainer: {error}") from error
+    except SIGTERMException as error:
+        # exit code of a process that SIGTERM ended; on several devices, Lightning kills the first if another one fails
+        raise SystemExit(128 + signal.SIGTERM if is_first() else 0) from error
+    callbacks: list[L.Callback] = trainer.callbacks  # type: ignore[attr-defined]
+    (stopwatch,) = (each for each in callbacks if isinstance(each, Stopwatch))
+    (best,) = (each for each in callbacks if isinstance(each, BestValidation))
+    return {"training_seconds": round(stopwatch.seconds, 1), "validation": best.metrics}
 
 
-def forget_curves(trainer: L.Trainer) -> None:
-    """Before a training begins anew: remove TensorBoard's curves of an earlier one of the same run."""
+def start_processes(trainer: L.Trainer, module: nn.Module) -> None:
+    """Start the processes of the other devices and wait until they have come as far as this one.
+
+    Raises:
+        CophyError: They cannot be started this way, or the module cannot be trained on several devices.
+    """
+    if trainer.world_size == 1:
+        return
+    if any(isinstance(part, _BatchNorm) for part in module.modules()):
+        raise CophyError(
+            "a network with batch normalisation (a de-renderer) needs whole batches: train it on one device"
+        )
+    strategy = trainer.strategy
+    if not isinstance(strategy, DDPStrategy) or not isinstance(strategy.launcher, _SubprocessScriptLauncher):
+        raise CophyError("runs on several devices need trainer.strategy=ddp")
+    is_sweep = HydraConfig.initialized() and HydraConfig.get().mode is RunMode.MULTIRUN
+    environment = strategy.cluster_environment
+    assert environment is not None
+    if is_sweep and not environment.creates_processes_externally:
+        raise CophyError(
+            "a sweep (-m) cannot start runs on several devices by itself: use one command for each run, "
+            "or hydra/launcher=slurm with hydra.launcher.tasks_per_node= as many as devices"
+        )
+    os.environ.setdefault("OMP_NUM_THREADS", str(torch.get_num_threads()))  # otherwise Lightning changes it
+    try:
+        strategy.launcher.launch(strategy.setup_environment)
+    except ValueError as error:  # Lightning: the cluster started another number of processes
+        raise CophyError(f"trainer.devices and hydra.launcher.tasks_per_node: {error}") from error
+
+
+def decide_first(trainer: L.Trainer, decide: Callable[[], Decision]) -> Decision:
+    """Call a function in the first process alone, and return its result in all of them."""
+    if trainer.world_size == 1:
+        return decide()
+    return trainer.strategy.broadcast(decide() if is_first() else None)  # type: ignore[return-value]
+
+
+def was_requeued() -> bool:
+    """Return whether this is a job of a cluster that was stopped before: it continues, whatever its command says."""
+    return int(os.environ.get("SLURM_RESTART_COUNT", "0")) > 0
+
+
+def log_names(trainer: L.Trainer, run: Run, origin: dict[str, Any], arguments: dict[str, Any]) -> None:
+    """Log what loggers compare runs by: names and the keys of model, training and trainer."""
+    keys = {"model": origin["model"], "training": origin["training"], "trainer": arguments}
+    for logger in trainer.loggers:
+        logger.log_hyperparams(run.names() | flatten(keys))
+
+
+def log_results(trainer: L.Trainer, results: dict[str, float]) -> None:
+    """Log the mean of every metric on the test split."""
+    for logger in trainer.loggers:
+        if isinstance(logger, Curves):
+            logger.log_results(results, trainer.global_step)
+        else:
+            logger.log_metrics({f"test/{name}": value for name, value in results.items()}, trainer.global_step)
+        logger.save()
+
+
+def remove_earlier_curves(trainer: L.Trainer) -> None:
+    """Remove TensorBoard's curves of an earlier training of the same run."""
     for logger in trainer.loggers if trainer.is_global_zero else []:
         if isinstance(logger, Curves):
-            logger.forget_earlier()
+            logger.remove_earlier()
 
 
-def log_results(loggers: list[Logger], results: dict[str, float], step: int) -> None:
-    """Send what the test measured.
-
-    Args:
-        loggers: Where to.
-        results: Each measure's mean.
-        step: Of the training.
-    """
-    for logger in loggers:
-        if isinstance(logger, Curves):
-            logger.log_results(results, step)
-        else:
-            logger.log_metrics({f"test/{name}": value for name, value in results.items()}, step)
-        logger.save()
+def select_loggers(trainer: L.Trainer) -> None:
+    """Do not log to curves that exist already: they are those of the training whose checkpoint is tested."""
+    trainer.loggers = [each for each in trainer.loggers if not (isinstance(each, Curves) and each.earlier)]
 
 
 @contextmanager
 def finishing(loggers: list[Logger]) -> Iterator[None]:
-    """Ends what the loggers began, also where the run fails: W&B would put the next run of a sweep into this one."""
+    """Finish all loggers at the end, even if the run fails: W&B would add the next run of a sweep to this one."""
     try:
         yield
     finally:
         for logger in loggers:
-            if isinstance(logger, Curves):  # to ask for its writer would make a file
+            if isinstance(logger, Curves):  # reading its writer would create a file
                 continue
             if finish := getattr(getattr(logger, "experiment", None), "finish", None):
                 finish()
 
 
-def with_epochs(arguments: dict[str, Any], factor: int) -> dict[str, Any]:
-    """The arguments, with so many times as many epochs; no limit stays none."""
-    return arguments | {"max_epochs": max(factor * arguments["max_epochs"], -1)}
+def _log_directory(run: Run, arguments: dict[str, Any]) -> dict[str, str]:
+    """Return where a logger writes: the run's directory; for curves, which TensorBoard names by folder, the root."""
+    if run.root is not None and arguments.get("_target_") == f"{Curves.__module__}.{Curves.__name__}":
+        return {"save_dir": str(run.root), "name": f"{arguments['name']}/{run.short_name}"}
+    return {"save_dir": str(run.directory)}
 
 
-def make_trainer(
-    run: Run, origin: Origin, watching: list[L.Callback], loggers: list[Logger], arguments: dict[str, Any]
-) -> L.Trainer:
-    """A Trainer that keeps the weights with the smallest validation MSE, and the last checkpoint, to go on from.
-
-    Args:
-        run: Says where everything goes.
-        origin: Goes into every checkpoint.
-        watching: Callbacks of this run: what draws, and what remembers.
-        loggers: Where it logs.
-        arguments: Of `lightning.Trainer` (conf/trainer/).
-    """
-    callbacks = [
-        BestCheckpoint(
-            run.checkpoints, filename="best", monitor="val/mse", save_weights_only=True, enable_version_counter=False
-        ),
-        # The last has a callback of its own: with save_last=True Lightning 2.6 writes it only when it is the best.
-        # It is written after every epoch, also where validation is rarer.
-        LastCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True),
-        StopTogether(),
-        *([LearningRateMonitor("epoch")] if loggers else []),
-        GradientNorm(),
-        *watching,
-        *(_made(f"callbacks={name}", each) for name, each in origin.training["callbacks"].items()),
-        ResumeHint(run.checkpoints / "last.ckpt"),
-        *([Size()] if arguments["enable_model_summary"] else []),
-    ]
-    with _explained():
-        return L.Trainer(
-            logger=loggers,
-            callbacks=callbacks,
-            default_root_dir=run.directory,
-            plugins=[WholeCheckpoints(origin, run.checkpoints), *plugins()],
-            use_distributed_sampler=False,  # the datamodules share batches among devices themselves
-            **arguments,
-        )
-
-
-def check_arguments(arguments: dict[str, Any]) -> None:
-    """Refuse what Lightning's Trainer does not take, before data are made.
-
-    Raises:
-        CophyError: Says which argument, as Lightning does.
-    """
-    said = [logging.getLogger(f"lightning.{part}") for part in ("pytorch", "fabric")]
-    levels = [each.level for each in said]
-    for each in said:  # what it says of devices, it says again when the run has its Trainer
-        each.setLevel(logging.ERROR)
-    try:
-        with _explained(), warnings.catch_warnings(action="ignore"):
-            made = L.Trainer(logger=False, enable_checkpointing=False, **arguments)
-        cores = os.cpu_count() or 1
-        if isinstance(made.accelerator, CPUAccelerator) and made.num_devices > MOST_PER_CORE * cores:
-            raise CophyError(f"trainer.devices={made.num_devices} starts as many processes; here are {cores} cores")
-    finally:
-        for each, level in zip(said, levels, strict=True):
-            each.setLevel(level)
-
-
-@contextmanager
-def _explained() -> Iterator[None]:
-    """What is wrong with a Trainer's arguments is the user's to mend."""
-    try:
-        yield
-    except (TypeError, ValueError, RuntimeError, MisconfigurationException) as error:
-        raise CophyError(f"trainer: {error}") from error
-
-
-def _made(key: str, arguments: dict[str, Any], **more: Any) -> Any:
-    """What `_target_` names."""
+def _instantiate(key: str, arguments: dict[str, Any], **more: Any) -> Any:
+    """Build what `_target_` names."""
     try:
         return instantiate(arguments, **more)
     except InstantiationException as error:

@@ -8,8 +8,7 @@ import torch
 
 from cophy.bootstrap import mean
 from cophy.models.baselines import CopyB, CopyC
-from cophy.training.evaluation import evaluate
-from cophy.training.metrics import have_twins, right_twin_chosen, twin_collection, twin_difference, twin_of
+from cophy.training.metrics import evaluate, have_twins, right_twin_chosen, twin_collection, twin_difference, twin_of
 from cophy.types import Batch, Prediction, Targets, take
 from tests.models.networks import build, random_batch
 
@@ -31,7 +30,7 @@ def predicted(*x: float) -> Prediction:
     return Prediction(position)
 
 
-def test_twins_stand_beside_each_other() -> None:
+def test_twins_are_next_to_each_other() -> None:
     assert twin_of(torch.tensor([3, 3, 7, 8, 8, 9])).tolist() == [1, 0, 2, 4, 3, 5]
     assert not have_twins(torch.tensor([1, 2, 3]))
 
@@ -100,23 +99,23 @@ def test_the_twins_of_copy_b_differ_as_their_ab_do(tower_batch: Batch, scenario_
     assert mean(values["twin_difference_explained"]) == pytest.approx(expected, abs=1e-6)
 
 
-def test_what_twins_owe_to_their_own_draws_is_no_error() -> None:
+def test_the_sampling_variance_of_twins_is_subtracted() -> None:
     """Means of a true difference of 2 m, each with a variance of 1 m²: the squared error of their difference is 2 m² too large."""
     count, generator = 20000, torch.Generator().manual_seed(0)
     position = torch.zeros(count, 1, 2, 3)
     position[1::2, 0, 0, 0] = 2.0
     truth = replace(take(two_pairs(), [0, 1] * (count // 2)), position=position, pair=torch.arange(count) // 2)
     noise = torch.randn(count, generator=generator)
-    said, variance = position.clone(), torch.zeros_like(position)
-    said[:, 0, 0, 0] += noise
+    sampled, variance = position.clone(), torch.zeros_like(position)
+    sampled[:, 0, 0, 0] += noise
     variance[:, 0, 0, 0] = 1.0
-    difference = twin_difference(Prediction(said, draw_variance=variance), truth, 3)
+    difference = twin_difference(Prediction(sampled, draw_variance=variance), truth, 3)
     assert float(difference.explained.sum() / difference.size.sum()) == pytest.approx(1.0, abs=0.02)
     assert float(difference.error.mean()) == pytest.approx(0.0, abs=0.1)
 
 
 def test_twins_of_the_same_draws_predict_no_difference_at_all() -> None:
-    said = predicted(1.0, 1.0, 3.0, 3.0)
-    said.position[1::2] = said.position[::2]
-    said.draw_variance = torch.ones_like(said.position)
-    assert twin_difference(said, two_pairs(), 3).explained.tolist() == [0.0] * 4
+    sampled = predicted(1.0, 1.0, 3.0, 3.0)
+    sampled.position[1::2] = sampled.position[::2]
+    sampled.draw_variance = torch.ones_like(sampled.position)
+    assert twin_difference(sampled, two_pairs(), 3).explained.tolist() == [0.0] * 4

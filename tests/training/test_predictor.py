@@ -1,30 +1,42 @@
-"""What a network is given, and what it has to return."""
+"""The module of predictors: what a network is given, what it has to return, and training in every precision."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import lightning as L
-import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from cophy.config import settings
+from cophy.dataset.datamodules import CounterfactualDataset
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
 from cophy.training.predictor import PredictionModule
 from cophy.types import Batch, Inputs, Prediction
+from tests.models.networks import build
 
 
 def module_of(
     network: nn.Module, *overrides: str, missed: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> PredictionModule:
     chosen = settings("train", "scenario=blocktower", *overrides)
-    return PredictionModule(
-        network, chosen.training, chosen.scenario, augmentations=np.eye(2)[None], missed_position=torch.tensor(missed)
-    )
+    module = PredictionModule(network, chosen.training, chosen.scenario)
+    module.missed_position.copy_(torch.tensor(missed))
+    return module
+
+
+QUIET: dict[str, Any] = {
+    "accelerator": "cpu",
+    "logger": False,
+    "enable_checkpointing": False,
+    "enable_progress_bar": False,
+    "enable_model_summary": False,
+}
 
 
 class Returning(nn.Module):
@@ -69,7 +81,7 @@ def test_a_prediction_that_is_not_finite_stops_the_training(
 ) -> None:
     module = module_of(Returning(lambda inputs: Prediction(inputs.observed[:, 1:] * torch.nan)))
     monkeypatch.setattr(module, "log_dict", lambda *_, **__: None)  # there is no trainer
-    with pytest.raises(CophyError, match="Returning predicts what is not finite"):
+    with pytest.raises(CophyError, match="Returning predicts non-finite values"):
         module.validation_step(tower_batch)
 
 
@@ -93,29 +105,45 @@ def test_a_missed_object_counts_as_predicted_at_the_mean_of_training(tower_batch
 
 
 class Recording(nn.Module):
-    """Copies C, a little off, and keeps what it saw of AB in training and in validation."""
+    """Copies C with a learnt offset, and keeps the positions of AB that it was given in training and in validation."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.off = nn.Parameter(torch.zeros(3))
+        self.offset = nn.Parameter(torch.zeros(3))
         self.seen: dict[bool, Tensor] = {}
 
     def forward(self, inputs: Inputs) -> Prediction:
         self.seen[self.training] = inputs.observed
-        return Prediction(CopyC()(inputs).position + self.off)
+        return Prediction(CopyC()(inputs).position + self.offset)
 
 
 def test_noise_is_of_training_alone(tower_batch: Batch) -> None:
     network = Recording()
-    module = module_of(network, "training.position_noise=0.1")
-    quiet = {
-        "logger": False,
-        "enable_checkpointing": False,
-        "enable_progress_bar": False,
-        "enable_model_summary": False,
-    }
-    trainer = L.Trainer(max_epochs=1, accelerator="cpu", num_sanity_val_steps=0, **quiet)
+    module = module_of(network, "training.position_noise=0.1", "training.augmentation=none")
+    trainer = L.Trainer(max_epochs=1, num_sanity_val_steps=0, **QUIET)
     batches = DataLoader([tower_batch], batch_size=None)
     trainer.fit(module, batches, batches)
     assert torch.equal(network.seen[False], tower_batch.inputs.observed)
     assert 0.01 < (network.seen[True] - tower_batch.inputs.observed).std() < 0.1
+
+
+DTYPES = {"32-true": torch.float32, "64-true": torch.float64, "bf16-mixed": torch.float32, "16-mixed": torch.float32}
+
+
+@pytest.mark.parametrize(
+    ("choice", "precision"),
+    [("full", precision) for precision in DTYPES] + [(choice, "64-true") for choice in ("single_step", "mlp", "npe")],
+)
+def test_a_network_trains_in_every_precision(choice: str, precision: str, tower_batch: Batch, tmp_path: Path) -> None:
+    module = module_of(build(choice))
+    before = [parameter.clone() for parameter in module.parameters()]
+    batches = CounterfactualDataset(tower_batch).in_order(16)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "You passed .*16-mixed.*")  # a CPU uses bfloat16 instead
+        warnings.filterwarnings("ignore", ".*does not have many workers.*")
+        trainer = L.Trainer(max_epochs=1, precision=precision, default_root_dir=tmp_path, **QUIET)
+        trainer.fit(module, batches, batches)
+    assert torch.isfinite(trainer.callback_metrics["val/mse"])
+    for parameter, old in zip(module.parameters(), before, strict=True):
+        assert parameter.dtype == DTYPES[precision]
+        assert not torch.equal(parameter, old.to(parameter.dtype))

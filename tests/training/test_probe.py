@@ -10,7 +10,7 @@ from cophy.types import Targets
 
 
 def labelled(count: int, seed: int) -> Probed:
-    """U that gives the mass away and says nothing about friction; the second of two slots is empty every other time."""
+    """Return U that depends on mass but not on friction; the second of two slots is empty in every other experiment."""
     generator = torch.Generator().manual_seed(seed)
     classes = torch.randint(0, 2, (count, 2, 2), generator=generator)
     presence = torch.ones(count, 2, dtype=torch.bool)

@@ -1,14 +1,27 @@
-"""Metrics against values worked out by hand."""
+"""Metrics and losses against values worked out by hand, and the evaluation of a test split."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from cophy.bootstrap import mean
+from cophy.errors import CophyError
 from cophy.scenario import Camera, Task
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
-from cophy.training.metrics import collection, mean_squared_error, pixel_measures, position_measures, stability_measures
-from cophy.types import Prediction, Targets, take
+from cophy.training.metrics import (
+    MeanOfEachCell,
+    StandingConfusion,
+    collection,
+    evaluate,
+    mean_squared_error,
+    pixel_measures,
+    position_measures,
+    stability_measures,
+)
+from cophy.types import Batch, Prediction, Targets, take
+from tests.models.networks import random_batch
 
 INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])
 
@@ -70,8 +83,8 @@ def test_stability_accuracy_and_its_base_rate() -> None:
     assert values["stability_base_rate"] == pytest.approx((3 / 4 + 1 / 2) / 2)
 
 
-def test_whole_sequence_stability_asks_for_every_step() -> None:
-    """First experiment: said to move / to stay, truly stays / moves: none right. Second: both say it moves."""
+def test_sequence_stability_needs_every_step() -> None:
+    """First experiment: both objects are predicted wrongly; second: both are predicted to move."""
     stays = replace(prediction(), stable_logit=torch.tensor([[[9.0, 9.0], [-9.0, 9.0]], [[9.0, 9.0], [9.0, -9.0]]]))
     values = [metric.measure(stays, targets()) for metric in stability_metrics().values()]
     names = list(stability_metrics())
@@ -126,15 +139,69 @@ def test_losses_ignore_empty_slots() -> None:
     assert position_loss(nonsense, targets()) == position_loss(prediction(), targets())
 
 
-def test_a_logit_for_the_sequence_is_held_against_being_always_stable() -> None:
+def test_one_logit_per_sequence_predicts_being_always_stable() -> None:
     assert stability_target(torch.zeros(2, 1, 2), targets()).tolist() == [[[True, False]], [[False, False]]]
 
 
-def test_what_a_mean_owes_to_its_draws_is_no_error() -> None:
+def test_the_sampling_variance_is_subtracted() -> None:
     position = targets().position.clone()
     position[..., 0] += 3.0
     variance = torch.zeros_like(position)
     variance[..., 0] = 4.0
-    said = Prediction(position, draw_variance=variance)
+    sampled = Prediction(position, draw_variance=variance)
     for dims in (2, 3):
-        assert mean_squared_error(dims)(said, targets()).tolist() == pytest.approx([5.0 / dims] * 2)
+        assert mean_squared_error(dims)(sampled, targets()).tolist() == pytest.approx([5.0 / dims] * 2)
+
+
+def test_a_prediction_that_is_not_finite_is_an_error(tower_batch: Batch, scenario_of) -> None:
+    scenario, targets = scenario_of("blocktower"), tower_batch.targets
+    position = targets.position.clone()
+    position[3, 5] = torch.nan
+    with pytest.raises(CophyError, match="non-finite"):
+        evaluate(Prediction(position), targets, scenario)
+    logit = torch.full_like(targets.position[..., 0], torch.nan)
+    with pytest.raises(CophyError, match="non-finite"):
+        evaluate(Prediction(targets.position, logit), targets, scenario)
+
+
+def test_predictions_of_absent_objects_do_not_matter(tower_batch: Batch, scenario_of) -> None:
+    targets = tower_batch.targets
+    absent = torch.where(targets.presence[:, None, :, None], targets.position, torch.nan)
+    assert evaluate(Prediction(absent), targets, scenario_of("blocktower"))["mse"].max() == 0
+
+
+def test_the_pixel_error_by_height_is_the_mean_of_the_heights(tower_batch: Batch, scenario_of) -> None:
+    """As in the paper's Table 1. Of towers whose top was removed the top does not count, of all the others it does."""
+    shifted = Prediction(tower_batch.targets.position + torch.tensor([0.1, 0.0, 0.2]))
+    values = evaluate(shifted, tower_batch.targets, scenario_of("blocktower"))
+    heights = [mean(values[f"pixel_error_{rank}"]) for rank in (1, 2, 3)]
+    assert np.isnan(values["pixel_error_3"]).any()
+    assert mean(values["pixel_error_by_height"]) == pytest.approx(np.mean(heights))
+    assert mean(values["pixel_error_by_height"]) != pytest.approx(mean(values["pixel_error"]), rel=1e-6)
+
+
+def test_every_cell_has_its_own_mean() -> None:
+    cells = MeanOfEachCell(3)
+    cells.update(torch.tensor([1.0, 2.0, 9.0]), torch.tensor([0, 2, -1]))
+    cells.update(torch.tensor([3.0]), torch.tensor([0]))
+    torch.testing.assert_close(cells.compute(), torch.tensor([2.0, torch.nan, 2.0]).double(), equal_nan=True)
+
+
+def test_experiments_of_a_cell_are_counted_in_every_precision() -> None:
+    cells = MeanOfEachCell(1).to(torch.bfloat16)
+    for _ in range(3):
+        cells.update(torch.ones(200, dtype=torch.bfloat16), torch.zeros(200, dtype=torch.int64))
+    assert cells.count.tolist() == [600]
+
+
+def test_a_tower_stands_if_all_its_objects_do() -> None:
+    targets = random_batch(4, [2, 2, 2, 2], num_frames=3).targets
+    stands = torch.tensor([True, True, False, False])
+    targets.stable[:] = stands[:, None, None]
+    logit = torch.where(targets.presence[:, None], 1.0, -1.0).repeat(1, 2, 1)  # what is not there does not count
+    slot = targets.presence[1].int().argmax()
+    logit[1, 0, slot] = logit[2, 0, targets.presence[2].int().argmax()] = -1.0
+    confusion = StandingConfusion()
+    for rows in ([0, 1], [2, 3]):
+        confusion.update(take(Prediction(targets.position, logit), rows), take(targets, rows))
+    assert confusion.compute().tolist() == [[1, 1], [1, 1]]

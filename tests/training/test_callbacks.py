@@ -1,4 +1,4 @@
-"""A log tells how far a training is, where no bar does."""
+"""The log shows the progress of a training if there is no progress bar."""
 
 import logging
 from types import SimpleNamespace
@@ -10,11 +10,11 @@ from cophy.training import callbacks
 from cophy.training.callbacks import Stopwatch
 
 
-@pytest.mark.parametrize(("seconds", "told"), [(0.0, 3), (3600.0, 0)])
-def test_progress_is_logged_now_and_then(
-    seconds: float, told: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(("seconds", "num_messages"), [(0.0, 3), (3600.0, 0)])
+def test_progress_is_logged_at_intervals(
+    seconds: float, num_messages: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(callbacks, "TOLD_EVERY_S", seconds)
+    monkeypatch.setattr(callbacks, "LOG_EVERY_S", seconds)
     measured = {"val/mse": torch.tensor(0.25)}
     trainer = SimpleNamespace(
         progress_bar_callback=None, is_global_zero=True, max_epochs=3, callback_metrics=measured, current_epoch=0
@@ -23,6 +23,6 @@ def test_progress_is_logged_now_and_then(
     with caplog.at_level(logging.INFO):
         for trainer.current_epoch in range(3):
             watch.on_train_epoch_end(trainer, None)
-    assert len(caplog.messages) == told
-    if told:
+    assert len(caplog.messages) == num_messages
+    if num_messages:
         assert caplog.messages[1].startswith("balls/4to4/in: epoch 2 of 3, val/mse 0.2500, ")

@@ -1,0 +1,277 @@
+"""Checkpoints: whole or not at all, checked before anything is built from them, and compared with a configuration."""
+
+import errno
+import os
+import re
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from cophy.errors import CophyError
+from cophy.training.checkpoints import (
+    MAX_VALUES,
+    Checkpoint,
+    WholeCheckpoints,
+    build_network,
+    check_plain,
+    check_resumable,
+    check_trained,
+    read_bytes,
+    read_checkpoint,
+    restore_network,
+)
+from tests.training.saved import model_of, saved, weights_of
+
+SOURCE = Path("a.ckpt")
+
+
+def test_a_checkpoint_that_cannot_be_written_leaves_the_older_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "checkpoints" / "best.ckpt"
+    WholeCheckpoints({}, tmp_path).save_checkpoint({"weights": torch.ones(3)}, path)
+    before, write = path.read_bytes(), Path.write_bytes
+
+    def half_then_full(self: Path, content: bytes) -> int:
+        write(self, content[: len(content) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", half_then_full)
+    with pytest.raises(OSError, match="No space left"):
+        WholeCheckpoints({}, tmp_path).save_checkpoint({"weights": torch.zeros(3)}, path)
+    assert [file.read_bytes() for file in path.parent.iterdir()] == [before]
+
+
+def test_a_flipped_byte_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
+    path, rng = tmp_path / "best.ckpt", np.random.default_rng(0)
+    checkpoint = {"weights": torch.arange(300.0), "epoch": 3}
+    WholeCheckpoints({}, tmp_path).save_checkpoint(checkpoint, path)
+    content, noticed = path.read_bytes(), 0
+    start = content.index(torch.arange(300.0).numpy().tobytes())
+    for place in [start + 5, *rng.integers(0, len(content), 150).tolist()]:
+        path.write_bytes(content[:place] + bytes([content[place] ^ 64]) + content[place + 1 :])
+        try:
+            loaded = WholeCheckpoints({}, tmp_path).load_checkpoint(path, weights_only=True)
+        except CophyError:
+            noticed += 1
+        else:
+            assert place != start + 5
+            assert loaded.keys() == checkpoint.keys() | {"origin", "callbacks"}
+            assert torch.equal(loaded["weights"], checkpoint["weights"])
+    assert noticed > 50
+
+
+def test_a_file_larger_than_any_checkpoint_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "best.ckpt"
+    path.touch()
+    os.truncate(path, 2**40)  # a sparse file
+    with pytest.raises(CophyError, match=r"best\.ckpt is not a checkpoint of train\.py: it is larger than 4 GiB"):
+        read_bytes(path)
+
+
+def compress(path: Path, to: Path) -> None:
+    with zipfile.ZipFile(path) as stored, zipfile.ZipFile(to, "w", zipfile.ZIP_DEFLATED) as archive:
+        for entry in stored.infolist():
+            archive.writestr(entry.filename, stored.read(entry))
+
+
+def overlap(path: Path, to: Path) -> None:
+    """List every part of the checkpoint a hundred times, but store it once."""
+    to.write_bytes(path.read_bytes())
+    with zipfile.ZipFile(to, "a") as archive:
+        archive.filelist *= 100
+        archive._didModify = True
+
+
+@pytest.mark.parametrize("grow", [compress, overlap])
+def test_a_file_that_would_grow_when_read_is_refused(tmp_path: Path, grow: Callable[[Path, Path], None]) -> None:
+    WholeCheckpoints({}, tmp_path).save_checkpoint({"weights": torch.zeros(3000)}, tmp_path / "best.ckpt")
+    grow(tmp_path / "best.ckpt", tmp_path / "grows.ckpt")
+    with pytest.raises(CophyError, match=r"grows\.ckpt .* compressed, or its parts overlap"):
+        WholeCheckpoints({}, tmp_path).load_checkpoint(tmp_path / "grows.ckpt", weights_only=True)
+
+
+def contain_itself() -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    tree["inner"] = tree
+    return tree
+
+
+def double(times: int) -> list[Any]:
+    """Return a few lists in memory with 2 to the power of `times` values."""
+    tree: list[Any] = [1]
+    for _ in range(times):
+        tree = [tree, tree]
+    return tree
+
+
+def test_a_configuration_is_plain() -> None:
+    check_plain({"a": {"b": [1, 2.5, True, None, "#00ff00"], "c": {}}, "d": [], "e": -(2**63) + 1})
+
+
+@pytest.mark.parametrize(
+    ("tree", "message"),
+    [
+        (contain_itself(), "nested more than 10 deep, or contain themselves"),
+        ([double(8)] * 1000, "more than 100,000 values"),
+        ([None] * (MAX_VALUES + 1), "more than 100,000 values"),
+        ({1: 2}, "a key is not a name"),
+        ((1, 2), "tuple is not a type"),
+        (["${oc.env:HOME}"], "is a reference"),
+        ({"${oc.env:HOME}": 1}, "is a reference"),
+    ],
+)
+def test_what_no_configuration_holds_is_refused(tree: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        check_plain([tree])
+
+
+@pytest.mark.parametrize(
+    "state", [{1: torch.ones(3)}, {"a": "text"}, "weights", None], ids=["no name", "text", "no dict", "none"]
+)
+def test_weights_that_are_not_tensors_by_name_are_refused(tmp_path: Path, state: object) -> None:
+    torch.save({"origin": {}, "state_dict": state}, tmp_path / "a.ckpt")
+    with pytest.raises(CophyError, match=r"a\.ckpt is not a checkpoint of train\.py: it has no weights"):
+        read_checkpoint(read_bytes(tmp_path / "a.ckpt"), tmp_path / "a.ckpt")
+
+
+class Keep(nn.Module):
+    """Keeps its argument."""
+
+    def __init__(self, *, value: object) -> None:
+        super().__init__()
+        self.value = value
+
+
+class Fail(nn.Module):
+    """Raises a TypeError of its own."""
+
+    def __init__(self, size: int = 4) -> None:
+        super().__init__()
+        self.size = len(size)  # type: ignore[arg-type]
+
+
+def test_a_model_without_a_class_is_refused() -> None:
+    with pytest.raises(CophyError, match="_target_ is missing"):
+        build_network({"hidden_dim": 32})
+
+
+def test_nothing_nested_is_built() -> None:
+    nested = {"_target_": "pathlib.Path", "_args_": ["hacked"]}
+    assert build_network({"_target_": f"{__name__}.Keep", "value": nested}).value == nested
+
+
+@pytest.mark.parametrize("special", ["_args_", "_partial_", "_recursive_", "_convert_", 5])
+def test_keys_that_hydra_would_obey_are_refused(special: object) -> None:
+    with pytest.raises(CophyError, match=f"model.{special} is not an argument of a network"):
+        build_network({"_target_": "cophy.models.baselines.CopyC", special: True})
+
+
+def test_an_unknown_argument_is_an_error_of_the_user() -> None:
+    with pytest.raises(CophyError, match=r"model: .*'more'; see .*\.Fail"):
+        build_network({"_target_": f"{__name__}.Fail", "more": 1})
+
+
+def test_a_type_error_inside_a_users_model_keeps_its_traceback() -> None:
+    with pytest.raises(TypeError, match="object of type 'int' has no len") as caught:
+        build_network({"_target_": f"{__name__}.Fail"})
+    assert caught.traceback[-1].path == Path(__file__)
+
+
+def test_an_error_while_a_users_module_is_imported_keeps_its_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_model.py").write_text("import json\njson.nonsense\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(AttributeError, match="nonsense"):
+        build_network({"_target_": "broken_model.Net"})
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("nowhere.Net", "no module nowhere"),
+        ("cophy.models.nowhere.Net", "no module cophy.models.nowhere"),
+        ("cophy.models.cophynet.Nobody", "has no Nobody"),
+        ("os.path.join", "is not a torch.nn.Module"),
+        ("Net", "cannot be imported"),
+    ],
+)
+def test_a_class_that_does_not_exist_is_named(target: str, message: str) -> None:
+    with pytest.raises(CophyError, match=message):
+        build_network({"_target_": target})
+
+
+def tensors_of(network: nn.Module) -> list[Tensor]:
+    return [*network.parameters(), *network.buffers()]
+
+
+def restored(model: dict[str, Any], weights: dict[str, Tensor]) -> nn.Module:
+    return restore_network(Checkpoint({"model": model}, weights, has_optimizer=False), SOURCE)
+
+
+@pytest.mark.parametrize(
+    "choice",
+    ["cophynet", "cophynet ablation=mlp", "cophynet ablation=single_step", "in", "npe", "alongside", "copy_c"]
+    + [f"derenderer model.readout={readout}" for readout in ("attention", "linear")],
+)
+def test_a_restored_network_is_the_one_that_was_saved(choice: str) -> None:
+    """Buffers that are not saved are the same too."""
+    model = model_of(*f"model={choice}".split())
+    network = build_network(model)
+    for saved_tensor, tensor in zip(
+        tensors_of(network), tensors_of(restored(model, network.state_dict())), strict=True
+    ):
+        assert torch.equal(saved_tensor, tensor)
+
+
+def wide(hidden_dim: int) -> dict[str, Any]:
+    return model_of("model=in") | {"hidden_dim": hidden_dim}
+
+
+@pytest.mark.parametrize(("hidden_dim", "message"), [(10**9, "is more than 16384"), (2**14, "does not fit")])
+def test_weights_are_compared_before_memory_is_allocated(
+    hidden_dim: int, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few, devices = build_network(wide(8)).state_dict(), []
+    monkeypatch.setattr(nn.Linear, "reset_parameters", lambda layer: devices.append(layer.weight.device.type))
+    with pytest.raises(CophyError, match=message):
+        restored(wide(hidden_dim), few)
+    assert set(devices) <= {"meta"}
+
+
+def test_weights_that_repeat_a_number_are_not_allocated() -> None:
+    with torch.device("meta"):
+        shapes = {key: value.shape for key, value in build_network(wide(2**14)).state_dict().items()}
+    for number in (torch.zeros(1), torch.zeros(1, device="meta")):
+        with pytest.raises(CophyError, match="its weights repeat a few numbers"):
+            restored(wide(2**14), {key: number.expand(shape) for key, shape in shapes.items()})
+
+
+def test_classes_of_other_packages_are_not_restored() -> None:
+    with pytest.raises(CophyError, match=r"only classes of cophy\.models are loaded"):
+        restored({"_target_": f"{__name__}.Keep", "value": 1}, {})
+
+
+@pytest.mark.parametrize("check", [check_resumable, check_trained])
+def test_weights_of_other_shapes_are_named(
+    tmp_path: Path, check: Callable[[Path, dict[str, Any], nn.Module], None]
+) -> None:
+    model = model_of("model=in")
+    weights = weights_of(model)
+
+    def check_with(name: str, weights: dict[str, Tensor]) -> None:
+        path = saved(tmp_path / name, model, weights, seed=0)
+        torch.save(torch.load(path, weights_only=True) | {"optimizer_states": []}, path)
+        check(path, read_checkpoint(read_bytes(path), path).origin, build_network(model))
+
+    check_with("whole.ckpt", weights)
+    name = min(weights)
+    with pytest.raises(CophyError, match=rf"cut\.ckpt .*\({re.escape(name)} does not fit .*InteractionNetwork"):
+        check_with("cut.ckpt", weights | {name: weights[name][:1]})

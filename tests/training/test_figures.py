@@ -1,0 +1,64 @@
+"""What TensorBoard shows: results first, and clips of twins if there are any."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from cophy.scenario import Scenario
+from cophy.training import figures
+from cophy.training.figures import Curves, DrawnPredictions
+from cophy.types import Prediction
+from tests.models.networks import random_batch
+
+
+class Writer:
+    """Keeps nothing."""
+
+    def add_figure(self, *_: object) -> None: ...
+
+
+@pytest.mark.parametrize(("pairs", "num_rows"), [([0, 0, 1, 1], 2), ([0, 1, 2, 3], 1)], ids=["twins", "released"])
+def test_the_clip_is_of_twins_or_of_one_experiment(
+    pairs: list[int], num_rows: int, scenario_of: Callable[[str], Scenario], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario, clips = scenario_of("balls"), []
+    monkeypatch.setattr(figures, "add_clip", lambda writer, name, frames, **_: clips.append(frames))
+    batch = random_batch(scenario.num_slots, [4] * 4, num_frames=30)
+    shown = replace(batch, targets=replace(batch.targets, pair=torch.tensor(pairs)))
+    prediction = Prediction(shown.targets.position, torch.zeros_like(shown.targets.position[..., 0]))
+    DrawnPredictions(shown, scenario, "val").add(Writer(), prediction, 0)
+    (frames,) = clips
+    assert round(frames.shape[1] / 224) == num_rows
+
+
+def read_curves(directory: Path) -> EventAccumulator:
+    curves = EventAccumulator(str(directory))
+    curves.Reload()
+    return curves
+
+
+def test_the_first_card_is_a_result(tmp_path: Path) -> None:
+    curves = Curves(str(tmp_path), name="", version="", default_hp_metric=False)
+    curves.log_metrics({"epoch": 0, "train/loss": 1.0, "lr-Adam": 0.1, "val/mse": 2.0, "val/mse_both_stand": 3.0}, 5)
+    curves.log_hyperparams({"model": "in", "nothing": None})
+    curves.save()
+    curves.log_results({"mse": 4.0, "pixel_error": 7.0}, 9)
+    curves.save()
+    events = read_curves(tmp_path)
+    tags = sorted(events.Tags()["scalars"])
+    assert tags == ["mse/test", "mse/val", "per_cell/mse_both_stand", "test/pixel_error", "train/loss", "train/lr-Adam"]
+    assert [(event.step, event.value) for event in events.Scalars("mse/test")] == [(9, 4.0)]
+
+
+def test_a_new_training_removes_the_curves_of_an_earlier_one(tmp_path: Path) -> None:
+    for value in (1.0, 2.0):
+        curves = Curves(str(tmp_path), name="", version="", default_hp_metric=False)
+        curves.log_metrics({"val/mse": value}, 0)
+        curves.remove_earlier()
+        curves.save()
+        curves.experiment.close()
+    assert [event.value for event in read_curves(tmp_path).Scalars("mse/val")] == [2.0]

@@ -1,0 +1,152 @@
+"""Which trainings are the same: the fingerprint, and what is found in a run's directory."""
+
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+import cophy.commands.train  # noqa: F401  # what the command imports
+from cophy.config import composed, to_plain
+from cophy.dataset.datamodules import CounterfactualDataModule
+from cophy.errors import CophyError
+from cophy.models.cophynet import CoPhyNet
+from cophy.training import reuse
+from cophy.training.checkpoints import make_origin
+from cophy.training.predictor import PredictionModule
+from cophy.training.reuse import fingerprint, hash_code, imported_files, record_finished, start_training
+from cophy.training.run import Run
+
+PLAIN = to_plain(composed("train"))
+ORIGIN = make_origin(PLAIN, ["3-tiny"], without=reuse.WITHOUT_EFFECT)
+CHECKSUMS = {"3-tiny": {"0.h5": "abc"}}
+MODULES = {each.__module__ for each in (PredictionModule, CounterfactualDataModule, CoPhyNet)}
+
+
+def fingerprint_of(
+    origin: dict[str, Any] = ORIGIN, code: str = "code", checksums: Any = CHECKSUMS, **trainer: Any
+) -> str:
+    return fingerprint(origin, trainer=PLAIN["trainer"] | trainer, threads=1, code=code, checksums=checksums)
+
+
+@pytest.mark.parametrize("changes", [{"enable_progress_bar": False}, {"limit_test_batches": 1}])
+def test_what_changes_no_weight_does_not_count(changes: dict[str, Any]) -> None:
+    assert fingerprint_of(**changes) == fingerprint_of()
+    assert fingerprint_of(ORIGIN | {"split": {"name": "3to4"}}) == fingerprint_of()  # only tested on
+
+
+def test_what_changes_weights_counts() -> None:
+    others = [
+        fingerprint_of(ORIGIN | {"trained_on": ["4-tiny"]}),
+        fingerprint_of(ORIGIN | {"model": {**ORIGIN["model"], "hidden_dim": 8}}),
+        fingerprint_of(ORIGIN | {"training": {**ORIGIN["training"], "learning_rate": 1.0}}),
+        fingerprint_of(ORIGIN | {"seed": 1}),
+        fingerprint_of(max_epochs=1),
+        fingerprint_of(code="edited"),
+        fingerprint_of(checksums={"3-tiny": {"0.h5": "other"}}),
+    ]
+    assert len({fingerprint_of(), *others}) == 8
+
+
+def test_training_imports_models_data_and_losses_but_no_reports() -> None:
+    names = {path.relative_to(reuse.PACKAGE).with_suffix("").as_posix() for path in imported_files(MODULES)}
+    assert names >= {"models/cophynet", "models/layers", "training/losses", "training/augmentation"}
+    assert names >= {"dataset/datamodules", "dataset/features", "dataset/splits", "scenario/scenario", "types"}
+    assert {name.split("/")[0] for name in names} <= {
+        *("scenario", "dataset", "models", "training"),
+        *("types", "errors", "atomic_files", "bootstrap", "workers", "untrusted_files", "__init__"),
+        *("released", "oracles"),  # as long as the dataset imports them
+    }
+    assert not names & {"training/figures", "training/trainer", "training/reuse", "models/alongside"}
+
+
+@pytest.mark.parametrize(
+    ("name", "counts"),
+    [("training/losses.py", True), ("models/cophynet.py", True), ("study/server.py", False), ("cli.py", False)],
+)
+def test_an_edit_counts_only_where_training_imports_it(
+    name: str, counts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def code() -> str:
+        return hash_code(*(object.__new__(each) for each in (PredictionModule, CounterfactualDataModule, CoPhyNet)))
+
+    before, read = code(), Path.read_bytes
+    edited = reuse.PACKAGE / name
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"\n# edited" if path == edited else b""))
+    assert edited.is_file()
+    assert (code() != before) == counts
+
+
+def test_modules_beside_a_model_of_the_user_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "users_model.py").write_text("class Net: ...\n")
+    (tmp_path / "helper.py").write_text("SCALE = 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module: ModuleType = __import__("users_model")
+    before = hash_code(module.Net())
+    (tmp_path / "helper.py").write_text("SCALE = 2\n")
+    assert hash_code(module.Net()) != before
+    del sys.modules["users_model"]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    return make_run(tmp_path, "4to4")
+
+
+def make_run(root: Path, split: str) -> Run:
+    run = Run("balls", split, "cophynet", "full", "ground_truth", 1, "tiny", "", root)
+    run.directory = root / run.place
+    return run
+
+
+def leave_checkpoints(run: Run, text: str = "weights") -> None:
+    run.checkpoints.mkdir(parents=True, exist_ok=True)
+    for name in ("best.ckpt", "last.ckpt"):
+        (run.checkpoints / name).write_text(text)
+
+
+FACTS = {"training_seconds": 3.0, "resumed": 0, "validation": {"val/mse": 1.0}}
+
+
+def test_a_finished_training_is_found_in_another_split(run: Run, tmp_path: Path) -> None:
+    leave_checkpoints(run)
+    record_finished(run, "same", FACTS)
+    other = make_run(tmp_path, "4to3")
+    start = start_training(other, "same", reuse=True, ckpt=None)
+    assert start.finished == FACTS
+    assert (other.checkpoints / "best.ckpt").read_text() == "weights"
+    assert start_training(make_run(tmp_path, "4to5"), "another", reuse=True, ckpt=None).finished is None
+    assert start_training(other, "same", reuse=False, ckpt=None).finished is None
+
+
+def test_an_interrupted_training_continues_only_with_the_same_fingerprint(run: Run) -> None:
+    assert start_training(run, "same", reuse=True, ckpt=None) == (None, None, 0)
+    for resumed in (1, 2):
+        leave_checkpoints(run)
+        assert start_training(run, "same", reuse=True, ckpt=None) == (None, run.checkpoints / "last.ckpt", resumed)
+    assert start_training(run, "another", reuse=True, ckpt=None) == (None, None, 0)
+    assert (run.checkpoints / "last_of_stopped.ckpt").read_text() == "weights"  # hours of work, perhaps
+
+
+def test_a_damaged_note_is_named_and_its_checkpoints_are_kept(run: Run) -> None:
+    leave_checkpoints(run)
+    record_finished(run, "same", FACTS)
+    path = run.checkpoints / "finished.json"
+    path.write_text(path.read_text()[:9])
+    with pytest.raises(CophyError, match=r"finished\.json is damaged"):
+        start_training(run, "same", reuse=True, ckpt=None)
+    assert (run.checkpoints / "best.ckpt").read_text() == "weights"
+
+
+def test_a_note_that_may_not_be_read_does_not_mean_never_trained(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_checkpoints(run)
+    record_finished(run, "same", FACTS)
+
+    def refuse(path: Path) -> bytes:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(reuse, "read_plain", refuse)
+    with pytest.raises(PermissionError):
+        start_training(run, "same", reuse=True, ckpt=None)
+    assert (run.checkpoints / "best.ckpt").read_text() == "weights"

@@ -1,0 +1,152 @@
+"""A run: its names and place, the lock on its directory, and the files of its results."""
+
+import errno
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from cophy.errors import CophyError
+from cophy.training.predictor import prediction_arrays
+from cophy.training.run import Results, Run, differences, plain_value, read_predictions, write_predictions
+from cophy.types import Batch, Prediction
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    return Run("balls", "4to4", "cophynet", "full", "ground_truth", 1, "tiny", "", tmp_path / "run")
+
+
+def finish(run: Run, **facts: object) -> None:
+    run.directory.mkdir(exist_ok=True)
+    run.write_results(Results({"mse": np.array([1.0, 3.0, 2.0, 2.0])}, np.array([0, 0, 1, 1]), {"copy_c": 5.0}), facts)
+
+
+def test_only_one_process_makes_a_run(run: Run) -> None:
+    with run.locked():
+        with pytest.raises(CophyError, match="another process is making this run"), run.locked():
+            raise AssertionError("two at once")
+        finish(run)
+    assert sorted(path.name for path in run.directory.iterdir()) == [".lock", "metrics.json"]
+
+
+def test_a_run_deletes_its_earlier_results_when_it_begins(run: Run) -> None:
+    with run.locked():
+        finish(run)
+    with run.locked():
+        assert (run.directory / "metrics.json").exists()
+        run.begin()
+        assert not (run.directory / "metrics.json").exists()
+
+
+def test_a_run_that_is_refused_keeps_earlier_results_and_notes_why(run: Run) -> None:
+    finish(run)
+    with pytest.raises(CophyError, match="not a file"), run.locked():
+        raise CophyError("ckpt=nowhere is not\na file".replace("\n", " "))
+    assert (run.directory / "metrics.json").exists()
+    note = json.loads((run.directory / "failure.json").read_text())
+    assert (note["has_begun"], note["error"]) == (False, "CophyError: ckpt=nowhere is not a file")
+    with run.locked():
+        assert not (run.directory / "failure.json").exists()
+
+
+def test_results_of_another_run_are_not_replaced(run: Run) -> None:
+    finish(run)
+    other = replace(run, variant="+hidden_dim-8")
+    with pytest.raises(CophyError, match=r"belongs to another run \(variant=\)"), other.locked():
+        raise AssertionError("replaced")
+    assert (run.directory / "metrics.json").exists()
+    assert not (run.directory / "failure.json").exists()
+
+
+def test_results_of_a_training_are_not_replaced_by_those_of_a_checkpoint(run: Run) -> None:
+    finish(run)
+    with pytest.raises(CophyError, match="belongs to a training"), run.locked(tests_checkpoint=True):
+        raise AssertionError("replaced")
+    finish(run, predictor="0123abcd")
+    with run.locked(tests_checkpoint=True):
+        pass
+
+
+def test_results_of_earlier_versions_have_no_variant(run: Run) -> None:
+    finish(run)
+    path = run.directory / "metrics.json"
+    content = json.loads(path.read_text())
+    del content["variant"]
+    path.write_text(json.dumps(content))
+    with run.locked():
+        pass
+
+
+@pytest.mark.parametrize("text", ["{", "[]", ""])
+def test_damaged_results_are_named_and_kept(run: Run, text: str) -> None:
+    run.directory.mkdir()
+    path = run.directory / "metrics.json"
+    path.write_text(text)
+    with pytest.raises(CophyError, match=r"metrics\.json .*delete it"), run.locked():
+        raise AssertionError("ignored")
+    assert path.read_text() == text
+
+
+def test_a_full_disk_is_named_with_what_is_safe(run: Run) -> None:
+    with pytest.raises(CophyError, match=f"no space left for {run.directory}: finished runs.* are safe"), run.locked():
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert "No space left" in (run.directory / "failure.json").read_text()
+
+
+def test_metrics_are_means_with_their_intervals(run: Run) -> None:
+    finish(run, num_test=4)
+    content = json.loads((run.directory / "metrics.json").read_text())
+    results = {"metrics": {"mse": 2.0}, "intervals": {"mse": [2.0, 2.0]}, "copies": {"copy_c": 5.0}}
+    assert content == {**run.names(), "num_test": 4, **results}
+
+
+def test_predictions_are_read_as_they_were_written(tmp_path: Path, tower_batch: Batch) -> None:
+    targets = tower_batch.targets
+    write_predictions(tmp_path, prediction_arrays(Prediction(targets.position + 1), targets))
+    arrays = read_predictions(tmp_path)
+    np.testing.assert_array_equal(arrays["position"], (targets.position + 1).numpy())
+    np.testing.assert_array_equal(arrays["target"], targets.position.numpy())
+    assert torch.equal(torch.from_numpy(arrays["presence"]), targets.presence)
+    path = tmp_path / "predictions.npz"
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(CophyError, match=r"predictions\.npz is missing or damaged"):
+        read_predictions(tmp_path)
+
+
+def test_a_run_at_its_place_knows_the_root_of_all_runs(run: Run) -> None:
+    run = replace(run, variant="+size-tiny")
+    place = Path("balls/4to4/cophynet/full/ground_truth/seed1+size-tiny")
+    assert replace(run, directory=Path("outputs") / place).root == Path("outputs")
+    assert replace(run, directory=Path("elsewhere")).root is None
+    names = ["scenario", "split", "model", "ablation", "positions", "seed", "size", "variant"]
+    assert list(run.names()) == names
+
+
+def test_short_names_differ(run: Run) -> None:
+    runs = [run, replace(run, ablation="feedforward"), replace(run, positions="derendered"), replace(run, seed=0)]
+    assert [each.short_name for each in runs] == [
+        "balls_4to4_cophynet_seed1",
+        "balls_4to4_cophynet_feedforward_seed1",
+        "balls_4to4_cophynet_derendered_seed1",
+        "balls_4to4_cophynet_seed0",
+    ]
+
+
+def test_only_keys_that_change_results_are_differences() -> None:
+    config = {"trainer": {"max_epochs": 2, "devices": 2}, "size": {"num_experiments": 40}}
+    expected = {"trainer": {"max_epochs": 40, "devices": 1}, "size": {"num_experiments": 40}}
+    assert list(differences("cfg", config, expected)) == [("cfg.trainer.devices", 2), ("cfg.trainer.max_epochs", 2)]
+    assert list(differences("trainer", config["trainer"], expected["trainer"])) == [("trainer.max_epochs", 2)]
+    assert list(differences("model", {"dim": 8, "new": 1}, {"dim": 8})) == [("model.new", 1)]
+
+
+def test_a_plain_value_has_its_references_resolved() -> None:
+    config = OmegaConf.create({"a": {"b": "${c}"}, "c": 3})
+    assert plain_value(config, "a") == {"b": 3}
+    assert plain_value(config, "c") == 3
+    assert plain_value(config, "missing") is None
