@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from cophy.dataset.datamodules import Share
 from cophy.dataset.features import confounder_statistics, poses, standardised
 from cophy.scenario import Scenario, Simulator
+from cophy.scenario.blocktower import NUM_ROTATIONS
 from cophy.scenario.physics import Body, Scene, Shape, trajectory_distance
-from cophy.scenario.scenario import TURNS
 from cophy.training.augmentation import add_position_noise, augment, matrices_of, transform
 from cophy.training.settings import Augmentation
 from cophy.types import HORIZONTAL, Batch, take
@@ -101,7 +101,7 @@ def test_physics_allows_towers_any_angle_and_all_else_what_is_as_likely(scenario
     counts = {
         name: [len(matrices_of(scenario_of(name), choice)) for choice in Augmentation] for name in sorted(SCENARIOS)
     }
-    assert counts == {"balls": [1, 8, 8], "blocktower": [1, 8, 2 * TURNS], "collision": [1, 8, 8]}
+    assert counts == {"balls": [1, 8, 8], "blocktower": [1, 8, 2 * NUM_ROTATIONS], "collision": [1, 8, 8]}
 
 
 def quarter_turns(batch: Batch) -> torch.Tensor:

@@ -19,11 +19,11 @@ from cophy.dataset.shards import Sharded
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
 from cophy.scenario import Scenario, Shape
-from cophy.scenario.assignment import problems
-from cophy.scenario.physics import largest_gain
+from cophy.scenario.assignment import canonical_problems
+from cophy.scenario.physics import largest_energy_gain
 from cophy.scenario.search import SimulatedSearch
 from cophy.scenario.statics import Combinations, TowerStatics
-from cophy.scenario.towers import settled
+from cophy.scenario.towers import is_identifiable
 
 BALANCE_TOLERANCE = 0.05  # paper Sec. 3: 50 ± 5 % of the counterfactual outcomes are stable
 # ours: Kolmogorov-Smirnov distance. Heavy objects travel less (0.55 for struck objects), but no value should determine the
@@ -145,7 +145,7 @@ def check_positions(arrays: Arrays, size_m: float) -> Iterator[Check]:
 def _check_in_view(arrays: Arrays, scenario: SimulatedSearch) -> Check:
     position = arrays["states"][..., :3]
     present = np.broadcast_to(arrays["presence"][:, :, None], position.shape[:-1])
-    farthest = scenario.distance_in_sight(position[present]).max()
+    farthest = scenario.distance_from_origin(position[present]).max()
     inside = bool(farthest <= scenario.extent + ROUNDING_TOLERANCE_M)
     return Check("objects stay in view", f"{farthest:.2f} m ≤ {scenario.extent:g} m", inside)
 
@@ -156,7 +156,7 @@ def _check_energy(arrays: Arrays, spec: DatasetSpec) -> Check:
     for row in range(len(arrays["states"])):
         scene = scene_of(arrays, row, spec.scenario)
         scenes = (scene, do_operation_of(arrays, row, spec.scenario).apply(scene))
-        gain = max(largest_gain(s, t) for s, t in zip(scenes, trajectories_of(arrays, row), strict=True))
+        gain = max(largest_energy_gain(s, t) for s, t in zip(scenes, trajectories_of(arrays, row), strict=True))
         if gain > largest:
             largest, worst = gain, row
     return Check("no sequence gains energy", f"at most {largest:.2%} (experiment {worst})", largest <= MAX_ENERGY_GAIN)
@@ -197,7 +197,7 @@ def _check_held_out(arrays: Arrays, spec: DatasetSpec) -> Check:
     """Check that no masses and gravity occur in both halves of †, up to rotation, reflection and scale."""
     mass = np.take_along_axis(arrays["mass"], slots_in_order(arrays, spec.num_objects), axis=1).astype(float)
     gravity = arrays["gravity"][:, :2].astype(float)
-    classes = problems(mass, gravity, spec.scenario.symmetries())
+    classes = canonical_problems(mass, gravity, spec.scenario.symmetries())
     seen, unseen = ({*map(tuple, classes[arrays["seen"] == half].tolist())} for half in (True, False))
     result = f"{len(seen)} and {len(unseen)}, {len(seen & unseen)} in both"
     return Check("seen and unseen (†) masses × gravity, up to symmetry and scale", result, not seen & unseen)
@@ -405,7 +405,7 @@ def _check_statics(arrays: Arrays, statics: TowerStatics, standing: np.ndarray, 
     expected = [np.take_along_axis(each, true, axis=1) for each in (observed_stands, counterfactual_stands)]
     share = np.mean(np.concatenate(expected, axis=1) == standing)
     yield Check("statics agree with the stored outcomes", f"{share:.1%}", bool(share == 1))
-    share = np.take_along_axis(settled(falls_from, counterfactual_stands, combinations), true, axis=1).mean()
+    share = np.take_along_axis(is_identifiable(falls_from, counterfactual_stands, combinations), true, axis=1).mean()
     yield Check("by statics, AB determines whether CD stands", f"{share:.1%}", bool(share >= MIN_SETTLED))
     # such a block shows its mass in AB, so it has to move
     must_fall = np.arange(num_objects) >= np.take_along_axis(falls_from, true, axis=1)

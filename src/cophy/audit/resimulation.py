@@ -20,7 +20,7 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.physics import Clock, Scene, Trajectory, trajectory_distance
 from cophy.scenario.statics import Combinations
-from cophy.scenario.towers import tower_of
+from cophy.scenario.towers import read_tower
 
 # ours: towers and cylinders amplify the rounding of stored states, a few to decimetres
 MIN_RESIMULATED_SHARE = 0.9
@@ -179,7 +179,7 @@ def _agreements(
     else:
         candidates = np.array(sorted({other for each in true for other in grid.neighbours(each, spec.num_objects)}))
     # the true sequences are also simulated from the stored A, because falls amplify its rounding
-    starts = [scenario.under(configuration, scene) for configuration in true]
+    starts = [scenario.with_configuration(configuration, scene) for configuration in true]
     observed = [scenario.simulate(simulator, start) for start in starts]
     changed = [do_operation_of(arrays, row, scenario).apply(start) for row, start in zip(rows, starts, strict=True)]
     counterfactual = [scenario.simulate(simulator, start) for start in changed]
@@ -189,7 +189,7 @@ def _agreements(
     for twin, row in enumerate(rows):
         do_operation = do_operation_of(arrays, row, scenario)
         configurations = standing if true_stand[twin] else falling[twin]
-        alternatives = [do_operation.apply(scenario.under(configuration, scene)) for configuration in configurations]
+        alternatives = [do_operation.apply(scenario.with_configuration(configuration, scene)) for configuration in configurations]
         yield _same_counterfactual(scenario, alternatives, counterfactual[twin], simulator)
 
 
@@ -217,7 +217,7 @@ def _stand(scenario: Scenario, scene: Scene, configurations: np.ndarray) -> np.n
     confounders = [scenario.confounders.decode(each, len(scene.objects)) for each in configurations.tolist()]
     tilt = np.array([each.gravity_xy for each in confounders]) / -scenario.gravity_z
     loads = Combinations(np.array([each.mass for each in confounders]), tilt)
-    return np.asarray(scenario.statics.margins(*tower_of(scene), loads)[0] > 0)
+    return np.asarray(scenario.statics.margins(*read_tower(scene), loads)[0] > 0)
 
 
 def _same_observation(
@@ -245,7 +245,7 @@ def _distances(
     """Return trajectory distances up to the end of the clock, (configuration, observed sequence), metres."""
     distances = np.zeros((len(candidates), len(observed)))
     for row, configuration in enumerate(candidates):
-        start = scenario.under(configuration, scene)
+        start = scenario.with_configuration(configuration, scene)
         simulated = simulator.simulate(start, solver=scenario.solver, clock=clock, num_slots=scenario.num_slots)
         for column, each in enumerate(observed):
             beginning = Trajectory(each.states[: len(simulated.states)], each.presence)

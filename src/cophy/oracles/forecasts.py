@@ -18,7 +18,7 @@ from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.oracles.posterior import Hypotheses, posterior, resample
 from cophy.scenario import Scenario, Trajectory
-from cophy.scenario.simulator import RememberingSimulator
+from cophy.scenario.simulator import CachingSimulator
 
 VERSION = 2  # raise it when other hypotheses are tried
 USUAL_STABLE_SPEED = 0.1  # m/s, of every scenario (conf/scenario); forecasts at another one have their own directory
@@ -85,9 +85,9 @@ class OracleForecasts(ShardSet):
         arrays, stored = self.states.read(shard), empty_arrays(fields)
         first = self.spec.experiments_of_shard(shard)[0]
         stored["experiment"][:] = rows + first
-        with RememberingSimulator() as simulator:
+        with CachingSimulator() as simulator:
             for index in range(0, len(rows), 2):
-                simulator.forget()  # twins share scenes, pairs do not
+                simulator.clear_cache()  # twins share scenes, pairs do not
                 observed = self._observed(arrays, rows[index : index + 2])
                 for twin, by_oracle in enumerate(self._of_pair(int(first + rows[index]) // 2, observed, simulator)):
                     for oracle, hypotheses in by_oracle.items():
@@ -113,9 +113,7 @@ class OracleForecasts(ShardSet):
         """Return the dataset and the settings of the oracles."""
         return {"dataset": self.spec.id, "version": VERSION, **self.content}
 
-    def _of_pair(
-        self, pair: int, observed: np.ndarray, simulator: RememberingSimulator
-    ) -> Iterator[dict[str, Hypotheses]]:
+    def _of_pair(self, pair: int, observed: np.ndarray, simulator: CachingSimulator) -> Iterator[dict[str, Hypotheses]]:
         """Of both twins, by oracle. Twins share what depends on nothing but A, C, the do-operation and initial velocities.
 
         Both are made again, because rounding them to what is stored would change how some towers fall.

@@ -164,11 +164,13 @@ def _towers(
 ) -> Hypotheses:
     """Towers start at rest, as everybody knows; so the configuration is all that there is to draw."""
     if configuration is not None:
-        known = scenario.simulate(simulator, do_operation.apply(scenario.under(configuration, scene)))
+        known = scenario.simulate(simulator, do_operation.apply(scenario.with_configuration(configuration, scene)))
         return Hypotheses([known], np.ones(1))
     prior = configuration_prior(scenario, scene, do_operation)
     drawn, counts = np.unique(rng.choice(len(prior), draws, p=prior), return_counts=True)
-    found = [scenario.simulate(simulator, do_operation.apply(scenario.under(int(c), scene))) for c in drawn]
+    found = [
+        scenario.simulate(simulator, do_operation.apply(scenario.with_configuration(int(c), scene))) for c in drawn
+    ]
     return Hypotheses.drawn(
         [[trajectory] for trajectory, count in zip(found, counts, strict=True) for _ in range(count)]
     )
@@ -192,11 +194,11 @@ def _simulated(
     def both_of_a_pair() -> tuple[Trajectory, Trajectory]:
         for _ in range(MAX_TRIES):
             moving = scene if velocity_known else scene.with_velocities(draw_initial_velocities(scenario, scene, rng))
-            twins = [scenario.under(c, moving) for c in _two_configurations(count, configuration, rng)]
-            observed = scenario.different_outcomes(twins, simulator)
+            twins = [scenario.with_configuration(c, moving) for c in _two_configurations(count, configuration, rng)]
+            observed = scenario.simulate_twins(twins, simulator)
             if observed is None:
                 continue
-            both = scenario.different_outcomes([do_operation.apply(a) for a in twins], simulator, observed)
+            both = scenario.simulate_twins([do_operation.apply(a) for a in twins], simulator, observed)
             if both is not None:
                 return both
         raise CophyError(
@@ -349,7 +351,9 @@ class ConfigurationSearch:
     def _moving(self, configuration: int) -> Scene:
         """A under a configuration, with the initial velocities that fit it best."""
         if configuration not in self._scene:
-            self._scene[configuration] = self.with_velocities(self.scenario.under(configuration, self.at_rest))
+            self._scene[configuration] = self.with_velocities(
+                self.scenario.with_configuration(configuration, self.at_rest)
+            )
         return self._scene[configuration]
 
     def _log_probability(self, configuration: int, num_frames: int) -> float:

@@ -26,7 +26,7 @@ from cophy.scenario.physics import Clock, Scene, Solver
 from cophy.scenario.scenario import Scenario
 from cophy.scenario.search import SimulatedSearch
 from cophy.scenario.simulator import Simulator
-from cophy.scenario.towers import TOWER_CELLS, TowerCell, Towers, settled, tower_of
+from cophy.scenario.towers import TOWER_CELLS, TowerCell, Towers, is_identifiable, read_tower
 
 
 def unknown_scenario(scenario: Scenario) -> CophyError:
@@ -55,9 +55,9 @@ def configuration_prior(scenario: Scenario, scene: Scene, do_operation: DoOperat
 @configuration_prior.register
 def _of_towers(scenario: Blocktower, scene: Scene, do_operation: DoOperation) -> np.ndarray:
     num_levels = len(scene.objects)
-    towers = tower_of(scene), tower_of(do_operation.apply(scene))
+    towers = read_tower(scene), read_tower(do_operation.apply(scene))
     probability = tower_prior(scenario, do_operation.kind, num_levels)(towers)[0]
-    return scenario.confounders.spread(probability, num_levels)
+    return scenario.confounders.expand(probability, num_levels)
 
 
 @configuration_prior.register
@@ -94,7 +94,7 @@ class TowerPrior:
         rng = np.random.default_rng((num_levels, scenario.do_operations.index(kind)))
         batches, count = [], 0
         while count < MIN_PROPOSALS:
-            found = self._search.proposals(kind, num_levels, rng)
+            found = self._search.propose(kind, num_levels, rng)
             batches.append(self._fits(found.towers))
             count += len(found.level)
         first, second = (np.concatenate([batch[twin] for batch in batches]) for twin in (0, 1))
@@ -121,7 +121,7 @@ class TowerPrior:
         margins = np.stack([statics.margins(*tower, self._combinations) for tower in towers], axis=1)
         stands, falls = margins >= self._search.min_margin, margins <= -self._search.min_margin
         falls_from = statics.falls_from(*towers[0], self._combinations)
-        kept = settled(falls_from, margins[:, 1] > 0, self._combinations)
+        kept = is_identifiable(falls_from, margins[:, 1] > 0, self._combinations)
 
         def fits(cell: TowerCell) -> np.ndarray:
             observed, counterfactual = ((stands if outcome else falls)[:, s] for s, outcome in enumerate(cell[:2]))
@@ -149,7 +149,7 @@ def draw_initial_velocities(scenario: Scenario, scene: Scene, rng: np.random.Gen
 
 @draw_initial_velocities.register
 def _of_balls(scenario: Balls, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-    return scenario.random_velocities(len(scene.objects), rng)
+    return scenario.sample_velocities(len(scene.objects), rng)
 
 
 @draw_initial_velocities.register

@@ -1,18 +1,4 @@
-"""What is simulated: scenarios, their scenes and twins, and pictures of them (no torch).
-
-scenario: what every scenario has, and how a twin pair is made.
-blocktower: BlocktowerCF of the paper, stacked cubes that stand or fall.
-balls: BallsCF of the paper, balls that roll inside four walls.
-collision: CollisionCF of the paper, a moving object that is sent towards a static one.
-confounders: the grid of values, and configurations of them.
-do_operations: displace an object, or remove one.
-experiment: AB and CD under the same confounders; twin pairs.
-symmetry: rotations and reflections that leave a scenario as it is.
-physics/: rigid bodies and their simulation.
-search/: how twins are found.
-rendering/: from states to pictures.
-oracles/: what only the oracles need.
-"""
+"""Scenarios: confounders, scenes, simulation, search for twin pairs, and rendering. No torch."""
 
 from cophy.scenario.balls import Balls
 from cophy.scenario.blocktower import Blocktower

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cophy.scenario.experiment import Displace, DoOperation
-from cophy.scenario.physics import Body, Scene, Shape, Trajectory, floor, largest_gain
-from cophy.scenario.scenario import square
-from cophy.scenario.search import TRIES, SimulatedSearch, no_room
+from cophy.scenario.physics import Body, Scene, Shape, Trajectory, largest_energy_gain, make_floor
+from cophy.scenario.scenario import square_symmetries
+from cophy.scenario.search import MAX_PLACEMENTS, SimulatedSearch, placement_error
 
-# (moving, static): shapes of the two objects, one cell each
+# Shapes of the moving and the static object, one cell each
 CELLS = tuple(
     (moving, static) for moving in (Shape.SPHERE, Shape.CYLINDER) for static in (Shape.SPHERE, Shape.CYLINDER)
 )
@@ -17,16 +17,16 @@ CELLS = tuple(
 
 @dataclass
 class Collision(SimulatedSearch):
-    """Fields of conf/scenario/collision.yaml beyond those of every scenario."""
+    """Collisions, with the fields of conf/scenario/collision.yaml beyond those of every scenario."""
 
     object_size: float  # diameter of spheres and cylinders, and height of cylinders
-    floor_friction: float  # of the floor; that of a contact is the product of both
-    static_distance: float  # of the static object in A from the origin, back along the moving one's heading
+    floor_friction: float  # the friction of a contact is the product of floor and object
+    static_distance: float  # in A, of the static object from the origin, against the heading of the moving one
     distance: list[float]  # between the two centres in A: smallest and largest
     speed: float  # of the moving object at t = 0, towards the static one's centre in A
     displacement: list[float]  # along x or y: smallest and largest
     min_gap: float  # between the two objects, in A and C
-    max_energy_gain: float  # between two states, as a share of the energy at the start
+    max_energy_gain: float  # between two states, relative to the initial energy
 
     @classmethod
     def ranges(cls) -> tuple[str, ...]:
@@ -46,15 +46,15 @@ class Collision(SimulatedSearch):
 
     @classmethod
     def symmetries(cls) -> np.ndarray:
-        return square()
+        return square_symmetries()
 
     @property
     def object_size_m(self) -> float:
         return self.object_size
 
     def floor(self) -> Body:
-        """The ground, as slippery as the scenario says."""
-        return replace(floor(), friction=self.floor_friction)
+        """Return the ground with the friction of this scenario."""
+        return replace(make_floor(), friction=self.floor_friction)
 
     def shapes_of_cell(self, cell: int) -> tuple[Shape, ...]:
         return CELLS[cell]
@@ -67,12 +67,12 @@ class Collision(SimulatedSearch):
         moving = self._body(shapes[0], slots[0], start)
         static = self._body(shapes[1], slots[1], target)
         if static.shape is Shape.CYLINDER and rng.random() < 0.5:
-            static = replace(static, quaternion_xyzw=_lying(rng.uniform(0, 2 * np.pi)))
+            static = replace(static, quaternion_xyzw=_lying_quaternion(rng.uniform(0, 2 * np.pi)))
         scene = Scene((self.floor(), moving, static), gravity=(0.0, 0.0, self.gravity_z))
         return scene.with_velocities(self.initial_velocities(scene))
 
     def initial_velocities(self, scene: Scene) -> np.ndarray:
-        """(object, 2) horizontal, m/s, of the moving and the static object where they lie in A."""
+        """Return (object, 2) horizontal velocities, m/s, of the moving and the static object, given their positions in A."""
         moving, static = (np.array(body.position[:2]) for body in scene.objects)
         between = static - moving
         return np.stack([self.speed * between / np.linalg.norm(between), np.zeros(2)])
@@ -81,33 +81,35 @@ class Collision(SimulatedSearch):
         moving, static = scene.objects
         body, other = (moving, static) if kind == "displace_moving" else (static, moving)
         assert body.slot is not None
-        for _ in range(TRIES):
+        for _ in range(MAX_PLACEMENTS):
             offset = np.zeros(2)
             offset[rng.integers(2)] = rng.uniform(self.displacement[0], self.displacement[1]) * rng.choice([-1.0, 1.0])
             between = np.array(body.position[:2]) + offset - other.position[:2]
-            # a lying cylinder is square from above: its corners reach half a diagonal, more than any other outline
+            # a lying cylinder is a square from above, whose corners reach half a diagonal, more than any other outline
             if np.linalg.norm(between) >= (1 + np.sqrt(2)) / 2 * self.object_size + self.min_gap:
                 return Displace(kind, body.slot, (float(offset[0]), float(offset[1]), 0.0))
-        raise no_room("collision", "scenario.displacement leaves no scenario.min_gap between the objects")
+        raise placement_error("collision", "with scenario.displacement, the objects do not keep scenario.min_gap")
 
     def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
-        """Whether the sequence stays in sight and gains no energy from an impact that the solver resolves wrongly."""
-        return super().is_admissible(scene, trajectory) and largest_gain(scene, trajectory) <= self.max_energy_gain
+        """Return whether both objects stay within `extent` and no impact that the solver resolves wrongly adds energy."""
+        return (
+            super().is_admissible(scene, trajectory) and largest_energy_gain(scene, trajectory) <= self.max_energy_gain
+        )
 
-    def distance_in_sight(self, position: np.ndarray) -> np.ndarray:
-        """See `SimulatedSearch`; headings are any, so what is in sight is round."""
+    def distance_from_origin(self, position: np.ndarray) -> np.ndarray:
+        """Return the distances in the plane: headings have any direction, so the visible area is round."""
         return np.asarray(np.linalg.norm(position[..., :2], axis=-1))
 
     def _body(self, shape: Shape, slot: int, centre: np.ndarray) -> Body:
-        """An object that lies or stands on the floor."""
+        """Return an object that rests on the floor."""
         x, y = centre.tolist()
         size = (self.object_size, self.object_size, self.object_size)
         return Body(shape, size, position=(x, y, self.object_size / 2), slot=slot, mass=1.0)
 
 
-def _lying(yaw: float) -> tuple[float, float, float, float]:
-    """The quaternion (x, y, z, w) of a cylinder that lies with its axis across the yaw (rad)."""
-    half, tilt = yaw / 2, np.pi / 4  # half of the turn that lays the axis down
+def _lying_quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """Return the quaternion (x, y, z, w) of a lying cylinder whose axis is perpendicular to the yaw (rad)."""
+    half, tilt = yaw / 2, np.pi / 4  # half the rotation that tilts the axis to the ground
     x, y = np.cos(half) * np.sin(tilt), np.sin(half) * np.sin(tilt)
     z, w = np.sin(half) * np.cos(tilt), np.cos(half) * np.cos(tilt)
     return float(x), float(y), float(z), float(w)

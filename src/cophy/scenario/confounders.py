@@ -1,4 +1,4 @@
-"""Confounders (paper Sec. 3): the quantities no single image shows, on grids that are data, not code."""
+"""Confounders (paper Sec. 3): the quantities that no single image shows, and the grids of their values."""
 
 import itertools
 from dataclasses import dataclass
@@ -8,9 +8,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Confounders:
-    """True confounders of one experiment, objects in the scenario's own order (towers: bottom to top).
+    """True confounders of one experiment, with objects in the scenario's own order (towers: bottom to top).
 
-    mass (kg), friction, restitution: one value per object; gravity_xy (m/s²): one pair for the scene.
+    Attributes:
+        mass: One value per object, kg.
+        friction: One value per object.
+        restitution: One value per object.
+        gravity_xy: Horizontal gravity of the scene, m/s².
     """
 
     mass: tuple[float, ...]
@@ -21,9 +25,9 @@ class Confounders:
 
 @dataclass
 class ConfounderGrid:
-    """The values each confounder can take; a single value makes it a constant.
+    """The values of each confounder; a single value makes it a constant.
 
-    A configuration (an index in [0, num_configurations)) picks one value per object for mass, friction and
+    A configuration (an index in [0, num_configurations)) selects one value per object for mass, friction and
     restitution, and one per scene for the horizontal components of gravity.
     """
 
@@ -35,7 +39,7 @@ class ConfounderGrid:
 
     def __post_init__(self) -> None:
         if not all(self._axes(1)):
-            raise ValueError("a confounder grid needs at least one value each, or the confounder has no value")
+            raise ValueError("confounders: every confounder needs at least one value")
         if (
             min(self.mass) <= 0
             or min(self.friction) < 0
@@ -44,15 +48,15 @@ class ConfounderGrid:
             raise ValueError("confounders: mass must be > 0, friction >= 0 and restitution in [0, 1]")
 
     def _axes(self, num_objects: int) -> list[list[float]]:
-        per_object = [grid for grid in (self.mass, self.friction, self.restitution) for _ in range(num_objects)]
+        per_object = [values for values in (self.mass, self.friction, self.restitution) for _ in range(num_objects)]
         return [*per_object, self.gravity_x, self.gravity_y]
 
     def num_configurations(self, num_objects: int) -> int:
-        """Number of different configurations of `num_objects` objects."""
+        """Return the number of configurations of this many objects."""
         return int(np.prod([len(axis) for axis in self._axes(num_objects)]))
 
     def decode(self, configuration: int, num_objects: int) -> Confounders:
-        """The values that a configuration stands for."""
+        """Return the values of a configuration."""
         axes = self._axes(num_objects)
         indices = np.unravel_index(configuration, [len(axis) for axis in axes])
         values = [float(axis[index]) for axis, index in zip(axes, indices, strict=True)]
@@ -60,27 +64,27 @@ class ConfounderGrid:
         return Confounders(mass, friction, restitution, gravity_xy=(values[-2], values[-1]))
 
     def neighbours(self, configuration: int, num_objects: int) -> list[int]:
-        """The configurations that differ from one in a single value."""
+        """Return the configurations that differ from this one in a single value."""
         shape = [len(axis) for axis in self._axes(num_objects)]
         indices = np.array(np.unravel_index(configuration, shape))
-        found = []
+        configurations = []
         for axis, size in enumerate(shape):
             for value in range(size):
                 if value != indices[axis]:
                     changed = indices.copy()
                     changed[axis] = value
-                    found.append(int(np.ravel_multi_index(tuple(changed), shape)))
-        return found
+                    configurations.append(int(np.ravel_multi_index(tuple(changed), shape)))
+        return configurations
 
-    def spread(self, probability: np.ndarray, num_objects: int) -> np.ndarray:
-        """From (combination,) probabilities of `masses_and_gravities` to (configuration,), the other confounders level."""
+    def expand(self, probability: np.ndarray, num_objects: int) -> np.ndarray:
+        """Expand (combination,) probabilities of masses and gravities to (configuration,), uniform in all others."""
         masses, gravities = len(self.mass) ** num_objects, len(self.gravity_x) * len(self.gravity_y)
         others = (len(self.friction) * len(self.restitution)) ** num_objects
         table = np.broadcast_to(probability.reshape(masses, 1, gravities), (masses, others, gravities))
         return table.reshape(-1) / others
 
     def masses_and_gravities(self, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
-        """Every combination of masses and horizontal gravity: (configuration, object) kg, (configuration, 2) m/s²."""
+        """Return all combinations of masses and horizontal gravity: (combination, object) kg, (combination, 2) m/s²."""
         combinations = list(itertools.product(*[self.mass] * num_objects, self.gravity_x, self.gravity_y))
         table = np.array(combinations, dtype=float)
         return table[:, :num_objects], table[:, num_objects:]

@@ -1,7 +1,4 @@
-"""Do-operations (paper Sec. 3): visible changes of the initial scene A that make it C. A itself stays as it is.
-
-An experiment: observed sequence AB and counterfactual sequence CD under the same confounders (paper Sec. 3).
-"""
+"""Experiments (paper Sec. 3): sequences AB and CD under the same confounders, and the do-operation that turns A into C."""
 
 from dataclasses import dataclass, replace
 
@@ -11,9 +8,12 @@ from cophy.scenario.physics import Scene, Trajectory, Vector
 
 @dataclass(frozen=True)
 class Displace:
-    """Move one object.
+    """Do-operation that displaces one object.
 
-    kind: the scenario's name for it, one of its `do_operations`. slot: of the object. offset_m: metres, world frame.
+    Attributes:
+        kind: The scenario's name for it, one of its `do_operations`.
+        slot: Slot of the object.
+        offset_m: Displacement, metres, world frame.
     """
 
     kind: str
@@ -21,7 +21,7 @@ class Displace:
     offset_m: Vector
 
     def apply(self, scene: Scene) -> Scene:
-        """The scene with the object moved."""
+        """Return C, given A."""
         body = next(body for body in scene.objects if body.slot == self.slot)
         x, y, z = (p + d for p, d in zip(body.position, self.offset_m, strict=True))
         return scene.with_object(replace(body, position=(x, y, z)))
@@ -29,13 +29,18 @@ class Displace:
 
 @dataclass(frozen=True)
 class Remove:
-    """Take one object away. kind: the scenario's name for it, one of its `do_operations`. slot: of the object."""
+    """Do-operation that removes one object.
+
+    Attributes:
+        kind: The scenario's name for it, one of its `do_operations`.
+        slot: Slot of the object.
+    """
 
     kind: str
     slot: int
 
     def apply(self, scene: Scene) -> Scene:
-        """The scene without the object."""
+        """Return C, given A."""
         return scene.without_object(self.slot)
 
 
@@ -46,13 +51,16 @@ DoOperation = Displace | Remove
 class Experiment:
     """One experiment of a twin pair.
 
-    scene: A, with its objects in the scenario's own order (towers: bottom to top).
-    do_operation: what makes C of A.
-    observed, counterfactual: the simulated sequences AB and CD.
-    confounders, configuration: their values, and their index in the scenario's grid, for that order of objects.
-    cell: index into the scenario's `cells`.
-    background_seed: decides the textures of floor and surroundings, shared by A, B, C, D and the twin.
-    pair_simulations: simulations spent on the whole twin pair.
+    Attributes:
+        scene: A, with its objects in the scenario's own order (towers: bottom to top).
+        do_operation: The change from A to C.
+        observed: Simulated sequence AB.
+        counterfactual: Simulated sequence CD.
+        confounders: Values of the confounders, in the same order of objects.
+        configuration: Their index in the scenario's grid.
+        cell: Index into the scenario's `cells`.
+        background_seed: Seed of the textures of floor and backdrop, shared by A, B, C, D and the twin.
+        pair_simulations: Simulations that the search for the twin pair needed.
     """
 
     scene: Scene
@@ -68,9 +76,15 @@ class Experiment:
 
 @dataclass(frozen=True)
 class TwinPair:
-    """What a search found: a scene and a do-operation that twins share, and what becomes of them under either's confounders.
+    """Result of a search: the scene and do-operation that twins share, and the outcomes under each twin's confounders.
 
-    second: configuration of the second twin. observed, counterfactual, cells: of the first and of the second twin.
+    Attributes:
+        scene: A, without confounders.
+        do_operation: The change from A to C.
+        second: Configuration of the second twin.
+        observed: AB of the first and of the second twin.
+        counterfactual: CD of the first and of the second twin.
+        cells: Cells of the first and of the second twin.
     """
 
     scene: Scene
@@ -82,7 +96,7 @@ class TwinPair:
 
 
 def with_confounders(scene: Scene, confounders: Confounders) -> Scene:
-    """The scene with its objects' mass, friction and restitution, and its horizontal gravity, replaced."""
+    """Return the scene with these masses, frictions, restitutions and horizontal gravity."""
     values = zip(scene.objects, confounders.mass, confounders.friction, confounders.restitution, strict=True)
     for body, mass, friction, restitution in values:
         scene = scene.with_object(replace(body, mass=mass, friction=friction, restitution=restitution))

@@ -1,7 +1,6 @@
-"""States -> pictures: RGB, depth and instance segmentation from the scenario's fixed camera, with PyBullet's renderers.
+"""Rendering of states to RGB, depth and instance segmentation, with PyBullet's renderers and a scenario's fixed camera.
 
-What is rendered: the pictures of a sequence, and the settings that ask for them.
-Procedural textures of floors and backdrops: hundreds of them, each a pure function of an experiment's background seed.
+Textures of floors and backdrops are procedural: each is a pure function of an experiment's background seed.
 """
 
 import importlib.util
@@ -27,7 +26,7 @@ NO_OBJECT = 255  # in segmentations
 
 
 class Backend(Enum):
-    """tiny: PyBullet's CPU renderer. egl: its OpenGL plugin, on a GPU or on Mesa in software."""
+    """Renderers: PyBullet's CPU renderer (tiny), or its OpenGL plugin, on a GPU or on Mesa in software (egl)."""
 
     tiny = "tiny"
     egl = "egl"
@@ -35,7 +34,7 @@ class Backend(Enum):
 
 @dataclass
 class RenderSettings:
-    """What to render (files in conf/render). modalities: rgb, depth, segmentation, or none of them."""
+    """Fields of the files in conf/render: modalities are rgb, depth, segmentation, or none of them."""
 
     modalities: list[str]
     resolution: int
@@ -44,18 +43,20 @@ class RenderSettings:
     def __post_init__(self) -> None:
         unknown = set(self.modalities) - set(MODALITIES)
         if unknown:
-            raise ValueError(f"render.modalities: {sorted(unknown)} not among {list(MODALITIES)}")
+            raise ValueError(f"render.modalities={list(self.modalities)} must be some of {list(MODALITIES)}")
         if len(set(self.modalities)) < len(self.modalities):
-            raise ValueError(f"render.modalities: {self.modalities} names one twice")
+            raise ValueError(f"render.modalities={list(self.modalities)} names a modality twice")
         if not 16 <= self.resolution <= 4096:
             raise ValueError(f"render.resolution={self.resolution} must be between 16 and 4096 pixels")
 
 
 class Frames(NamedTuple):
-    """Pictures of one sequence, R × R pixels.
+    """Images of one sequence, R × R pixels.
 
-    rgb: (T, R, R, 3) uint8. depth: (T, R, R) uint16, millimetres along the camera's axis, 0 where there is nothing.
-    segmentation: (T, R, R) uint8, the slot whose object is seen, or NO_OBJECT.
+    Attributes:
+        rgb: (T, R, R, 3) uint8.
+        depth: (T, R, R) uint16, millimetres along the camera's axis; 0 for the backdrop.
+        segmentation: (T, R, R) uint8, slot of the visible object, or NO_OBJECT.
     """
 
     rgb: np.ndarray
@@ -67,19 +68,22 @@ MODALITIES = Frames._fields
 
 
 FLOOR_PX = 2048
-STREAMS = {"floor": 0, "backdrop": 1}  # so that a backdrop of any resolution changes no floor
+STREAMS = {
+    "floor": 0,
+    "backdrop": 1,
+}  # separate seeds, so that the resolution of the backdrop does not change the floor
 
 
 def floor_texture(seed: int) -> np.ndarray:
-    """(2048, 2048, 3) uint8: smooth ground, tiles, planks or terrazzo in muted colours, so that objects stand out."""
+    """Return (2048, 2048, 3) uint8 ground, tiles, planks or terrazzo in muted colours, so that objects stand out."""
     rng = np.random.default_rng((seed, STREAMS["floor"]))
     pattern = PATTERNS[rng.integers(len(PATTERNS))](rng)
     light, dark = _muted(rng, brightness=(0.72, 0.95)), _muted(rng, brightness=(0.5, 0.7))
     return _colored(pattern, dark, light)
 
 
-def backdrop(seed: int, resolution: int) -> np.ndarray:
-    """(resolution, resolution, 3) uint8: a soft gradient, shown where there is no floor."""
+def backdrop_image(seed: int, resolution: int) -> np.ndarray:
+    """Return a (resolution, resolution, 3) uint8 gradient, which is visible where there is no floor."""
     rng = np.random.default_rng((seed, STREAMS["backdrop"]))
     gradient = np.linspace(0, 1, resolution)[:, None].repeat(resolution, axis=1)
     blend = np.clip(gradient + 0.15 * (_noise(rng, resolution, cells=3) - 0.5), 0, 1)
@@ -97,7 +101,7 @@ def _tiles(rng: np.random.Generator) -> np.ndarray:
     shade = rng.uniform(0.5, 0.5 + rng.uniform(0.1, 0.45), (count, count))
     if rng.random() < 0.5:
         shade += 0.25 * (np.indices(shade.shape).sum(axis=0) % 2) - 0.1
-    inside = np.arange(FLOOR_PX) * count % FLOOR_PX >= 3 * count  # the first three pixels of a tile are its joint
+    inside = np.arange(FLOOR_PX) * count % FLOOR_PX >= 3 * count  # the first three pixels of a tile are the joint
     return np.where(inside[:, None] & inside, shade[index[:, None], index], 0.2) + 0.1 * _noise(rng, FLOOR_PX, cells=80)
 
 
@@ -127,7 +131,7 @@ PATTERNS: tuple[Callable[[np.random.Generator], np.ndarray], ...] = (_ground, _t
 
 
 def _noise(rng: np.random.Generator, size: int, *, cells: int) -> np.ndarray:
-    """(size, size) smooth random values around 0.5, about `cells` bumps across."""
+    """Return (size, size) smooth random values around 0.5, with about `cells` bumps per side."""
     return cv2.resize(rng.random((cells, cells), dtype=np.float32), (size, size), interpolation=cv2.INTER_CUBIC)
 
 
@@ -143,12 +147,12 @@ def _colored(blend: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray
     return cv2.merge([cv2.LUT(index, channel) for channel in palette.T.copy()])
 
 
-# Part of what a picture is: raise dataset.pictures.images.FORMAT_VERSION when one of these changes.
-FLOOR_HALF_WIDTH_M = 24.0  # beyond it, the backdrop
-SHOWN_WALL_M = 0.4  # walls are drawn low, so that the near one hides nothing
+# Images depend on these constants: increase FORMAT_VERSION in dataset/images.py with them.
+FLOOR_HALF_WIDTH_M = 24.0  # the backdrop is beyond
+VISIBLE_WALL_M = 0.4  # walls are drawn low, so that the near one hides nothing
 WALL_COLOR = (0.8, 0.8, 0.8, 1.0)
-NEAR_M = 0.01  # a near plane this small makes TinyRenderer's shadows right, and costs depth a millimetre or two
-FAR_M = 60.0
+RENDER_NEAR_M = 0.01  # so near that TinyRenderer's shadows are right; depth loses a millimetre or two of precision
+RENDER_FAR_M = 60.0
 LIGHT = {
     "lightDirection": [-2.5, -1.2, 12],
     "lightDistance": 40,
@@ -157,12 +161,16 @@ LIGHT = {
     "lightDiffuseCoeff": 0.45,
     "lightSpecularCoeff": 0.05,
 }
-# then PyBullet is connected anew: it keeps every texture, 13 MB each, until the end of a connection
+# then the renderer reconnects, because PyBullet keeps every texture, 13 MB each, until the end of a connection
 MAX_STAGES_PER_CONNECTION = 16
 
 
 class Renderer:
-    """A PyBullet client that draws; closed on leaving the `with` block. camera_seconds: CPU time of PyBullet's camera."""
+    """A PyBullet client that renders, closed on leaving the `with` block.
+
+    Attributes:
+        camera_seconds: CPU time of PyBullet's camera.
+    """
 
     def __init__(self, scenario: Scenario, resolution: int, backend: Backend = Backend.tiny) -> None:
         self.scenario, self.resolution, self.backend = scenario, resolution, backend
@@ -174,7 +182,9 @@ class Renderer:
         camera = scenario.camera
         self._camera = {
             "viewMatrix": self._bullet.computeViewMatrix(camera.eye, camera.target, [0, 0, 1]),
-            "projectionMatrix": self._bullet.computeProjectionMatrixFOV(camera.field_of_view_deg, 1.0, NEAR_M, FAR_M),
+            "projectionMatrix": self._bullet.computeProjectionMatrixFOV(
+                camera.field_of_view_deg, 1.0, RENDER_NEAR_M, RENDER_FAR_M
+            ),
         }
         self._colors = [_rgba(color) for color in scenario.colors.values()]
 
@@ -203,23 +213,23 @@ class Renderer:
         shapes: Sequence[int],
         background_seed: int,
     ) -> Frames:
-        """Draw a sequence.
+        """Render a sequence.
 
         Args:
             positions: (T, K, 3), metres.
             quaternions: (T, K, 4), x y z w.
-            presence: (K,) bool, which slots are drawn.
-            shapes: of each slot, see `Shape`.
-            background_seed: decides floor and backdrop.
+            presence: (K,) bool, the slots to render.
+            shapes: `Shape` of each slot.
+            background_seed: Seed of floor and backdrop.
         """
         if background_seed != self._seed:
             self._set_stage(background_seed)
         for body in self._objects:
             self._bullet.removeBody(body, self._client)
         self._objects = {self._add(Shape(shapes[slot]), slot): slot for slot in np.flatnonzero(presence).tolist()}
-        return Frames(*map(np.stack, zip(*map(self._draw, positions, quaternions), strict=True)))
+        return Frames(*map(np.stack, zip(*map(self._render_frame, positions, quaternions), strict=True)))
 
-    def _draw(self, position: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _render_frame(self, position: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         for body, slot in self._objects.items():
             self._bullet.resetBasePositionAndOrientation(body, position[slot], quaternion[slot], self._client)
         start, size = time.process_time(), self.resolution
@@ -229,17 +239,17 @@ class Renderer:
         self.camera_seconds += time.process_time() - start
         rgb = cv2.cvtColor(np.asarray(rgba, dtype=np.uint8).reshape(size, size, 4), cv2.COLOR_RGBA2RGB)
         bodies = np.asarray(bodies).reshape(size, size)
-        nothing = bodies < 0
-        cv2.copyTo(self._backdrop, nothing.view(np.uint8), rgb)
-        slots = np.full(max(self._objects, default=0) + 2, NO_OBJECT, dtype=np.uint8)  # the last is -1, nothing
+        background = bodies < 0
+        cv2.copyTo(self._backdrop, background.view(np.uint8), rgb)
+        slots = np.full(max(self._objects, default=0) + 2, NO_OBJECT, dtype=np.uint8)  # the last is -1, the background
         slots[list(self._objects)] = list(self._objects.values())
-        seen = slots[np.minimum(bodies, len(slots) - 2)]
+        segmentation = slots[np.minimum(bodies, len(slots) - 2)]
         depth = _millimetres(np.asarray(z).reshape(size, size))
-        depth[nothing] = 0
-        return rgb, depth, seen
+        depth[background] = 0
+        return rgb, depth, segmentation
 
     def _set_stage(self, seed: int) -> None:
-        """Floor, walls and backdrop; before them everything goes."""
+        """Remove everything, and add floor, walls and backdrop."""
         if self._num_stages == MAX_STAGES_PER_CONNECTION:
             self._bullet.disconnect(self._client)
             self._connect()
@@ -247,20 +257,20 @@ class Renderer:
         bullet.resetSimulation(physicsClientId=client)
         self._seed, self._objects = seed, {}
         self._num_stages += 1
-        self._backdrop = backdrop(seed, self.resolution)
+        self._backdrop = backdrop_image(seed, self.resolution)
         half = [FLOOR_HALF_WIDTH_M, FLOOR_HALF_WIDTH_M, 0.5]
         floor = self._body(bullet.createVisualShape(bullet.GEOM_BOX, halfExtents=half, physicsClientId=client), -0.5)
-        with tempfile.TemporaryDirectory() as directory:  # PyBullet takes textures from files only
+        with tempfile.TemporaryDirectory() as directory:  # PyBullet reads textures from files only
             path = Path(directory) / "floor.bmp"
             cv2.imwrite(str(path), cv2.cvtColor(floor_texture(seed), cv2.COLOR_RGB2BGR))
             texture = bullet.loadTexture(str(path), physicsClientId=client)
         bullet.changeVisualShape(floor, -1, textureUniqueId=texture, physicsClientId=client)
         for wall in self.scenario.walls():
-            half = [wall.size_m[0] / 2, wall.size_m[1] / 2, SHOWN_WALL_M / 2]
+            half = [wall.size_m[0] / 2, wall.size_m[1] / 2, VISIBLE_WALL_M / 2]
             shape = bullet.createVisualShape(
                 bullet.GEOM_BOX, halfExtents=half, rgbaColor=WALL_COLOR, physicsClientId=client
             )
-            self._body(shape, SHOWN_WALL_M / 2, *wall.position[:2])
+            self._body(shape, VISIBLE_WALL_M / 2, *wall.position[:2])
 
     def _add(self, shape: Shape, slot: int) -> int:
         bullet, size = self._bullet, self.scenario.object_size_m
@@ -268,7 +278,7 @@ class Renderer:
             geometry = {"shapeType": bullet.GEOM_BOX, "halfExtents": [size / 2] * 3}
         elif shape is Shape.CYLINDER:
             geometry = {"shapeType": bullet.GEOM_CYLINDER, "radius": size / 2, "length": size}
-        else:  # Bullet's own sphere has corners
+        else:  # Bullet's own sphere is a coarse mesh
             import pybullet_data
 
             smooth = str(Path(pybullet_data.getDataPath()) / "sphere_smooth.obj")  # of radius 1
@@ -285,23 +295,21 @@ class Renderer:
         )
 
     def _load_egl(self) -> None:
-        found = importlib.util.find_spec("eglRenderer")
-        if (
-            found is None
-            or self._bullet.loadPlugin(found.origin, "_eglRendererPlugin", physicsClientId=self._client) < 0
-        ):
+        spec = importlib.util.find_spec("eglRenderer")
+        client = self._client
+        if spec is None or self._bullet.loadPlugin(spec.origin, "_eglRendererPlugin", physicsClientId=client) < 0:
             raise CophyError("render.backend=egl: PyBullet's EGL plugin does not load here; use render.backend=tiny")
 
 
 def _rgba(color: str) -> tuple[float, ...]:
-    """From "#rrggbb" to values between 0 and 1, opaque."""
+    """Convert "#rrggbb" to opaque RGBA values between 0 and 1."""
     return (*(value / 255 for value in ImageColor.getrgb(color)), 1.0)
 
 
 def _millimetres(depth_buffer: np.ndarray) -> np.ndarray:
-    """(R, R) uint16 distance along the camera's axis. In place: a fresh array for each operation takes six times as long."""
-    depth = np.multiply(depth_buffer, FAR_M - NEAR_M, dtype=np.float64)
-    np.subtract(FAR_M, depth, out=depth)
-    np.divide(FAR_M * NEAR_M, depth, out=depth)
+    """Return (R, R) uint16 distances along the camera's axis; in place, because new arrays would take six times as long."""
+    depth = np.multiply(depth_buffer, RENDER_FAR_M - RENDER_NEAR_M, dtype=np.float64)
+    np.subtract(RENDER_FAR_M, depth, out=depth)
+    np.divide(RENDER_FAR_M * RENDER_NEAR_M, depth, out=depth)
     depth *= 1000
     return np.rint(depth, out=depth).astype(np.uint16)

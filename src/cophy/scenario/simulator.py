@@ -1,9 +1,7 @@
-"""A simulator that simulates no scene twice.
+"""Rigid-body simulation of scenes with PyBullet, on a client of its own.
 
-Scene -> Trajectory: rigid-body simulation with PyBullet on a client that is owned, never global.
-
-PyBullet has wheels up to CPython 3.11 only; it is imported when a simulator is made, so that training and
-reports run without it.
+PyBullet has wheels up to CPython 3.11 only. It is imported when a simulator is created, so that training and reports run
+without it.
 """
 
 import os
@@ -18,16 +16,17 @@ import numpy as np
 from cophy.errors import CophyError
 from cophy.scenario.physics import Body, Clock, Scene, Shape, Solver, Trajectory
 
-BULLET_PENETRATION_THRESHOLD = -0.04  # m; Bullet's defaults
-BULLET_CONTACT_THRESHOLD = 1e18
-STANDARD_ERROR = 2  # its file descriptor
+BULLET_PENETRATION_THRESHOLD = -0.04  # m, Bullet's default
+BULLET_CONTACT_THRESHOLD = 1e18  # Bullet's default
+_STDERR = 2  # file descriptor
+_MAX_CACHED = 10_000  # ours: a gigabyte at most; an oracle tries up to 2,304 configurations of a tower
 
 
 class Simulator:
     """One PyBullet DIRECT client, closed on leaving the `with` block.
 
-    Bodies use maximal coordinates (btRigidBody): about half the cost of Bullet's multi-body on towers of three, and
-    `elastic_impacts` has its effect only there.
+    Bodies use maximal coordinates (btRigidBody), at about half the cost of Bullet's multi-body on towers of three.
+    `elastic_impacts` works only with these.
     """
 
     def __init__(self) -> None:
@@ -47,16 +46,16 @@ class Simulator:
         self._bullet.disconnect(self._client)
 
     def simulate(self, scene: Scene, *, solver: Solver, clock: Clock, num_slots: int) -> Trajectory:
-        """Simulate a scene from t = 0. The same scene gives the same bytes whatever was simulated before.
+        """Simulate a scene. The bytes of the result do not depend on earlier simulations.
 
         Args:
-            scene: what is simulated.
-            solver: its step rate must be a multiple of the clock's state rate.
-            clock: how long, and how often states are sampled.
-            num_slots: of the trajectory.
+            scene: Bodies at t = 0.
+            solver: Its step rate must be a multiple of the clock's state rate.
+            clock: Duration and sampling rates.
+            num_slots: Slots of the trajectory.
 
         Raises:
-            ValueError: the two rates do not fit.
+            ValueError: The step rate is not a multiple of the state rate.
         """
         if solver.step_rate_hz % clock.state_rate_hz:
             raise ValueError(
@@ -66,31 +65,31 @@ class Simulator:
         calls = self._reset(scene, solver, clock.state_rate_hz)
         self.num_simulations += 1
         ids = self._add_all(scene, solver)
-        sampled = [_states(bullet, client, ids)]
+        samples = [_read_states(bullet, client, ids)]
         for _ in range(clock.num_states - 1):
             for _ in range(calls):
                 bullet.stepSimulation(client)
-            sampled.append(_states(bullet, client, ids))
+            samples.append(_read_states(bullet, client, ids))
         slots = [body.slot for body in scene.objects if body.slot is not None]
         states, presence = np.zeros((clock.num_states, num_slots, 13)), np.zeros(num_slots, dtype=bool)
-        states[:, slots] = np.array(sampled).reshape(clock.num_states, len(slots), 13)
+        states[:, slots] = np.array(samples).reshape(clock.num_states, len(slots), 13)
         presence[slots] = True
         return Trajectory(states, presence)
 
     def simulate_from(
         self, scene: Scene, velocity: np.ndarray, *, frames: int, solver: Solver, frame_rate_hz: int
     ) -> np.ndarray:
-        """Simulate a scene from other initial velocities, for many short runs of one scene.
+        """Simulate a scene with other initial velocities, for many short runs of one scene.
 
-        Bodies are moved back, not made anew (which takes longer than a frame). What the solver remembers of the run before shifts the
-        result, by about 1e-6 m.
+        Bodies are moved back to the start, because creating them takes longer than simulating a frame. Bullet's solver
+        starts from its last solution, which shifts the result by about 1e-6 m.
 
         Args:
-            scene: its own velocities do not matter.
-            velocity: (object, 2) horizontal, m/s.
-            frames: how many to simulate.
-            solver: its settings.
-            frame_rate_hz: frames per second.
+            scene: Bodies at t = 0; their velocities are ignored.
+            velocity: (object, 2) horizontal initial velocities, m/s.
+            frames: Number of frames to simulate.
+            solver: Settings of the solver.
+            frame_rate_hz: Frames per second.
 
         Returns:
             (frame, object, 6) positions and velocities of the scene's objects.
@@ -114,20 +113,20 @@ class Simulator:
         return states
 
     def _reset(self, scene: Scene, solver: Solver, sample_rate_hz: int) -> int:
-        """Empty the world; returns how many calls of stepSimulation lead from one sample to the next.
+        """Empty the world, and return the number of calls of stepSimulation from one sample to the next.
 
-        A call makes several steps, which spares their overhead: as many as the largest power of two that divides a sample's steps, because
-        then Bullet gets the length of a step back without rounding, and the bytes are those of single steps.
+        One call makes several steps, which saves overhead: the largest power of two that divides the steps per sample.
+        Then the length of a step is exact, and the result has the bytes of single steps.
         """
         bullet, client = self._bullet, self._client
         self._prepared = None
         steps = solver.step_rate_hz // sample_rate_hz
-        at_once = steps & -steps
+        steps_per_call = steps & -steps
         bullet.resetSimulation(physicsClientId=client)
         bullet.setGravity(*scene.gravity, physicsClientId=client)
-        bullet.setTimeStep(at_once / solver.step_rate_hz, physicsClientId=client)
+        bullet.setTimeStep(steps_per_call / solver.step_rate_hz, physicsClientId=client)
         bullet.setPhysicsEngineParameter(
-            numSubSteps=at_once,
+            numSubSteps=steps_per_call,
             numSolverIterations=solver.iterations,
             useSplitImpulse=int(solver.elastic_impacts),
             splitImpulsePenetrationThreshold=0.0 if solver.elastic_impacts else BULLET_PENETRATION_THRESHOLD,
@@ -135,17 +134,20 @@ class Simulator:
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-        return steps // at_once
+        return steps // steps_per_call
 
     def _add_all(self, scene: Scene, solver: Solver) -> list[int]:
-        """Bullet's ids of the objects, in their order in the scene. All look like one box: else Bullet finds a hull for each round one."""
-        look = self._bullet.createVisualShape(
+        """Add all bodies, and return Bullet's ids of the objects in their order in the scene.
+
+        All share one visual shape, a box, because otherwise Bullet computes a convex hull for each round one.
+        """
+        visual = self._bullet.createVisualShape(
             self._bullet.GEOM_BOX, halfExtents=[1, 1, 1], physicsClientId=self._client
         )
-        added = [(body.slot, self._add(body, look, solver)) for body in scene.bodies]
-        return [body_id for slot, body_id in added if slot is not None]
+        ids = [self._add(body, visual, solver) for body in scene.bodies]
+        return [body_id for body, body_id in zip(scene.bodies, ids, strict=True) if body.slot is not None]
 
-    def _add(self, body: Body, look: int, solver: Solver) -> int:
+    def _add(self, body: Body, visual: int, solver: Solver) -> int:
         bullet, client = self._bullet, self._client
         width, depth, height = body.size_m
         if body.shape is Shape.BOX:
@@ -157,7 +159,7 @@ class Simulator:
         body_id = bullet.createMultiBody(
             baseMass=body.mass,
             baseCollisionShapeIndex=bullet.createCollisionShape(physicsClientId=client, **geometry),
-            baseVisualShapeIndex=look,
+            baseVisualShapeIndex=visual,
             basePosition=body.position,
             baseOrientation=body.quaternion_xyzw,
             useMaximalCoordinates=1,
@@ -177,8 +179,8 @@ class Simulator:
         return int(body_id)
 
 
-def _states(bullet: Any, client: int, ids: list[int]) -> list[float]:
-    """13 numbers of every object in turn, as in `Trajectory.states`."""
+def _read_states(bullet: Any, client: int, ids: list[int]) -> list[float]:
+    """Return the 13 numbers of every object in turn, as in `Trajectory.states`."""
     numbers: list[float] = []
     for body_id in ids:
         position, quaternion = bullet.getBasePositionAndOrientation(body_id, client)
@@ -188,56 +190,50 @@ def _states(bullet: Any, client: int, ids: list[int]) -> list[float]:
 
 
 def import_pybullet() -> Any:
-    """PyBullet, or an error that says where it can be had."""
+    """Import PyBullet, or raise a CophyError that explains where it is available."""
     try:
-        with nullcontext() if "pybullet" in sys.modules else _silent():
+        with nullcontext() if "pybullet" in sys.modules else _silence_stderr():
             import pybullet
     except ImportError as error:
         raise CophyError(
-            "generating data needs PyBullet, whose wheels end at Python 3.11 on Linux x86_64: "
+            "generating data needs PyBullet, which has wheels up to Python 3.11 on Linux x86_64 only: "
             "generate there (just setup), then copy data/ here; training and reports need no PyBullet"
         ) from error
     return pybullet
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
-    """Without what C code writes to standard error: PyBullet says when it was built, in every process."""
-    kept = os.dup(STANDARD_ERROR)
+def _silence_stderr() -> Iterator[None]:
+    """Discard what C code writes to standard error: PyBullet prints its build time in every process."""
+    saved = os.dup(_STDERR)
     try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), STANDARD_ERROR)
+        with open(os.devnull, "wb") as devnull:
+            os.dup2(devnull.fileno(), _STDERR)
         yield
     finally:
-        os.dup2(kept, STANDARD_ERROR)
-        os.close(kept)
+        os.dup2(saved, _STDERR)
+        os.close(saved)
 
 
-MOST = 10_000  # ours: a gigabyte at most; an oracle tries up to 2,304 configurations of a tower
-
-
-class RememberingSimulator(Simulator):
-    """Gives a scene's trajectory again where it was simulated before; for experiments that share scenes, as twins do.
-
-    The last `MOST` trajectories stay in memory until `forget`.
-    """
+class CachingSimulator(Simulator):
+    """Simulator that stores the last 10,000 trajectories, for experiments that share scenes, such as twins."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._known: dict[tuple[Scene, str], Trajectory] = {}
+        self._cache: dict[tuple[Scene, str], Trajectory] = {}
 
-    def __enter__(self) -> "RememberingSimulator":
+    def __enter__(self) -> "CachingSimulator":
         return self
 
     def simulate(self, scene: Scene, *, solver: Solver, clock: Clock, num_slots: int) -> Trajectory:
-        """See `Simulator.simulate`; what is given must not be changed."""
+        """See `Simulator.simulate`. The returned arrays are shared and must not be modified."""
         key = (scene, repr((solver, clock, num_slots)))
-        if key not in self._known:
-            if len(self._known) == MOST:
-                del self._known[next(iter(self._known))]
-            self._known[key] = super().simulate(scene, solver=solver, clock=clock, num_slots=num_slots)
-        return self._known[key]
+        if key not in self._cache:
+            if len(self._cache) == _MAX_CACHED:
+                del self._cache[next(iter(self._cache))]
+            self._cache[key] = super().simulate(scene, solver=solver, clock=clock, num_slots=num_slots)
+        return self._cache[key]
 
-    def forget(self) -> None:
-        """Free the memory."""
-        self._known.clear()
+    def clear_cache(self) -> None:
+        """Delete the stored trajectories."""
+        self._cache.clear()

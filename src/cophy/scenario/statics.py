@@ -1,4 +1,4 @@
-"""When a tower of blocks stands: statics on paper, for thousands of towers and confounders at once.
+"""Analytical statics: whether a tower of blocks stands, for thousands of towers and confounders at once.
 
 A stack of rigid blocks stands exactly when, at every level, the combined centre of mass of everything above
 projects, along the tilted gravity, inside the contact polygon: the intersection of the two rotated faces. A point
@@ -15,26 +15,31 @@ from cophy.scenario.physics import Trajectory
 
 
 class Combinations(NamedTuple):
-    """Combinations of masses and gravity. Friction has no part in whether a tower stands.
+    """Combinations of masses and gravity. Whether a tower stands does not depend on friction.
 
-    mass: (combination, level), kg, from the ground up. tilt: (combination, 2), horizontal over vertical gravity.
+    Attributes:
+        mass: (combination, level), kg, from the ground up.
+        tilt: (combination, 2), horizontal over vertical gravity.
     """
 
     mass: np.ndarray
     tilt: np.ndarray
 
-    def find(self, wanted: "Combinations") -> np.ndarray:
-        """(wanted,) the index of each, or of the nearest."""
-        here, there = (np.hstack([each.mass, each.tilt]) for each in (self, wanted))
-        return np.asarray(np.abs(there[:, None] - here).sum(axis=-1).argmin(axis=1))
+    def nearest(self, queries: "Combinations") -> np.ndarray:
+        """Return (query,) indices of the combinations that equal the queries, or are nearest to them."""
+        rows, query_rows = (np.hstack([each.mass, each.tilt]) for each in (self, queries))
+        return np.asarray(np.abs(query_rows[:, None] - rows).sum(axis=-1).argmin(axis=1))
 
 
 @dataclass(frozen=True)
 class TowerStatics:
-    """What decides whether a scenario's towers stand.
+    """Statics of a scenario's towers.
 
-    block_size: edge of a block, metres. gravity_z: m/s², negative. grid: the values of the confounders.
-    fallen_distance: a tower has fallen once a block is this far from where it started, metres.
+    Attributes:
+        block_size: Edge of a block, metres.
+        gravity_z: m/s², negative.
+        grid: Values of the confounders.
+        fallen_distance: A tower has fallen once a block is this far from its start, metres.
     """
 
     block_size: float
@@ -43,17 +48,17 @@ class TowerStatics:
     fallen_distance: float
 
     def combinations(self, num_levels: int) -> Combinations:
-        """Every combination of masses and gravity for so many blocks, in the order of the grid."""
+        """Return every combination of masses and gravity for this number of blocks, in the order of the grid."""
         mass, gravity_xy = self.grid.masses_and_gravities(num_levels)
         return Combinations(mass, gravity_xy / -self.gravity_z)
 
     def margins(self, xy: np.ndarray, yaw: np.ndarray, combinations: Combinations) -> np.ndarray:
-        """How far from toppling towers are under each combination: they stand where this is positive.
+        """Return the distance of each tower to toppling under each combination; it stands where this is positive.
 
         Args:
             xy: (tower, level, 2) block centres, metres.
             yaw: (tower, level) rad.
-            combinations: may have more levels; of a tower that lost its top, the masses of what is left count.
+            combinations: May have more levels than the towers; the masses of the lowest ones are used.
 
         Returns:
             (tower, combination) metres, the smallest of `joint_margins`.
@@ -61,18 +66,13 @@ class TowerStatics:
         return np.asarray(self._joint_margins(xy, yaw, combinations).min(axis=-1))
 
     def falls_from(self, xy: np.ndarray, yaw: np.ndarray, combinations: Combinations) -> np.ndarray:
-        """The lowest block that is sure to fall, with all above it, under each combination.
+        """Return the lowest block that certainly falls, with all blocks above it, under each combination.
 
-        It lies on the highest joint that fails. Where lower joints fail too, the blocks between may stay: they are
-        relieved once those above have gone.
-
-        Args:
-            xy: (tower, level, 2) block centres, metres.
-            yaw: (tower, level) rad.
-            combinations: as of `margins`.
+        It rests on the highest joint that fails. If lower joints fail too, the blocks between may stay, because their
+        load is gone once those above have fallen. Arguments are those of `margins`.
 
         Returns:
-            (tower, combination) its level from the ground up; the number of levels where the tower stands.
+            (tower, combination) level of the block from the ground up; the number of levels if the tower stands.
         """
         num_levels = xy.shape[1]
         fails = self._joint_margins(xy, yaw, combinations) <= 0
@@ -84,26 +84,26 @@ class TowerStatics:
         return joint_margins(xy, yaw, mass, combinations.tilt, size_m=self.block_size)
 
     def stands(self, trajectory: Trajectory) -> bool:
-        """Whether in a simulation no block ever left its place by more than `fallen_distance`."""
-        moved = np.linalg.norm(trajectory.positions - trajectory.positions[0], axis=-1)
-        return bool(moved.max() < self.fallen_distance)
+        """Return whether no block of a simulated tower ever moves by `fallen_distance` or more."""
+        distance = np.linalg.norm(trajectory.positions - trajectory.positions[0], axis=-1)
+        return bool(distance.max() < self.fallen_distance)
 
 
 def joint_margins(
     xy: np.ndarray, yaw: np.ndarray, mass: np.ndarray, tilt: np.ndarray, *, size_m: float = 1.0
 ) -> np.ndarray:
-    """How far each tower is from toppling over each of its joints, under each combination of masses and gravity.
+    """Return the distance of each tower to toppling over each of its joints, under each combination.
 
     Args:
         xy: (tower, level, 2) block centres, metres; levels from the ground up.
         yaw: (tower, level) rad.
         mass: (combination, level) kg.
         tilt: (combination, 2) horizontal over vertical gravity.
-        size_m: edge of a block, metres.
+        size_m: Edge of a block, metres.
 
     Returns:
-        (tower, combination, level) metres: the distance of the projected centre of mass, of a block and all above it, to the
-        edge of the contact polygon below it. A tower stands where all are positive; negative ones are a bound on the distance.
+        (tower, combination, level) metres: the distance from the projected centre of mass of a block and all above it to the
+        edge of the contact polygon below the block. A tower stands if all are positive; a negative value bounds the distance.
     """
     num_levels = xy.shape[1]
     height = (np.arange(num_levels) + 0.5) * size_m

@@ -8,7 +8,7 @@ from cophy.dataset.states import States
 from cophy.oracles.priors import configuration_prior
 from cophy.scenario import Blocktower, Scene
 from cophy.scenario.statics import Combinations
-from cophy.scenario.towers import tower_of
+from cophy.scenario.towers import read_tower
 from tests.conftest import tiny_spec
 
 
@@ -57,4 +57,4 @@ def margin(scenario: Blocktower, c: Scene, configuration: int) -> float:
     """Of a tower C of at most three blocks."""
     truth = scenario.confounders.decode(configuration, 3)
     load = Combinations(np.array([truth.mass]), np.array([truth.gravity_xy]) / -scenario.gravity_z)
-    return float(scenario.statics.margins(*tower_of(c), load)[0, 0])
+    return float(scenario.statics.margins(*read_tower(c), load)[0, 0])

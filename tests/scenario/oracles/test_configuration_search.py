@@ -37,7 +37,7 @@ def searched(scenario_of, simulator: Simulator) -> Callable[..., tuple[Configura
         count = scenario.confounders.num_configurations(2)
 
         def frames(c: int) -> np.ndarray:
-            return scenario.simulate(simulator, scenario.under(c, scene)).positions[::stride]
+            return scenario.simulate(simulator, scenario.with_configuration(c, scene)).positions[::stride]
 
         observed = frames(configuration)
         search = ConfigurationSearch(

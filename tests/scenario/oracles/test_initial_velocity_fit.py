@@ -5,7 +5,7 @@ import pytest
 
 from cophy.oracles.priors import velocity_inference
 from cophy.scenario import Body, Scene, Shape, Simulator
-from cophy.scenario.physics import floor
+from cophy.scenario.physics import make_floor
 
 
 def scene_of_two(scenario, friction: float) -> Scene:
@@ -14,7 +14,7 @@ def scene_of_two(scenario, friction: float) -> Scene:
         Body(Shape.SPHERE, (1.0, 1.0, 1.0), (x, y, 0.5), slot=slot, mass=1.0, friction=friction, restitution=1.0)
         for slot, (x, y) in enumerate([(3.2, 0.0), (-1.0, -2.0)])
     ]
-    scene = Scene((floor(), *scenario.walls(), *balls), gravity=(0.0, 0.0, -10.0))
+    scene = Scene((make_floor(), *scenario.walls(), *balls), gravity=(0.0, 0.0, -10.0))
     return scene.with_velocities(np.array([(3.0, 1.0), (4.0, 0.3)]))
 
 

@@ -10,7 +10,7 @@ from cophy.errors import CophyError
 from cophy.oracles import posterior
 from cophy.oracles.posterior import resample
 from cophy.scenario import Simulator
-from cophy.scenario.simulator import RememberingSimulator
+from cophy.scenario.simulator import CachingSimulator
 
 
 def asked(tiny, row: int = 0) -> tuple:
@@ -39,7 +39,7 @@ def test_what_is_given_is_held_and_the_rest_is_drawn(tiny, simulator: Simulator)
         assert np.array_equal(found["velocity"].states, found["nothing"].states)
         assert found["confounders"].draw is None
         (only,) = found["confounders"].counterfactuals
-        exact = scenario.simulate(simulator, do_operation.apply(scenario.under(configuration, scene)))
+        exact = scenario.simulate(simulator, do_operation.apply(scenario.with_configuration(configuration, scene)))
         assert np.array_equal(only.states, exact.states)
         return
     true = np.zeros((scenario.num_slots, 2))
@@ -57,11 +57,11 @@ def test_what_is_given_is_held_and_the_rest_is_drawn(tiny, simulator: Simulator)
 @pytest.mark.parametrize("name", ["collision"])
 def test_what_is_drawn_meets_the_conditions_of_the_search(name: str, scenario_of, monkeypatch) -> None:
     scenario, rng = scenario_of(name), np.random.default_rng(1)
-    with RememberingSimulator() as simulator:
+    with CachingSimulator() as simulator:
         pair = scenario.twin_pair(2, data_seed=0, pair=0, simulator=simulator)
         scene, do_operation = pair[0].scene, pair[0].do_operation
         asked, accepted = [], []
-        condition = type(scenario).different_outcomes
+        condition = type(scenario).simulate_twins
 
         def watched(self, scenes, simulator, observed=None):
             found = condition(self, scenes, simulator, observed)
@@ -70,7 +70,7 @@ def test_what_is_drawn_meets_the_conditions_of_the_search(name: str, scenario_of
                 accepted.extend(found)
             return found
 
-        monkeypatch.setattr(type(scenario), "different_outcomes", watched)
+        monkeypatch.setattr(type(scenario), "simulate_twins", watched)
         found = resample(scenario, scene, do_operation, draws=6, rng=rng, simulator=simulator)
     assert [id(each) for each in found.counterfactuals] == [id(each) for each in accepted]
     assert not asked[0]
@@ -90,7 +90,7 @@ def test_rare_twins_are_searched_for_as_long_as_one_more_is_found_in_time(
             return kept if observed is not None or next(tries) % fits == 0 else None
 
         monkeypatch.setattr(posterior, "MAX_TRIES", 10)
-        monkeypatch.setattr(type(scenario), "different_outcomes", rarely)
+        monkeypatch.setattr(type(scenario), "simulate_twins", rarely)
         drawing = {"draws": 8, "rng": np.random.default_rng(0), "simulator": simulator}
         if is_found:
             assert len(resample(scenario, pair[0].scene, pair[0].do_operation, **drawing).counterfactuals) == 8

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cophy.scenario import Scenario, Simulator
-from cophy.scenario.physics import Body, Scene, Shape, Trajectory, Vector, energy, largest_gain
+from cophy.scenario.physics import Body, Scene, Shape, Trajectory, Vector, energy, largest_energy_gain
 from tests.conftest import SCENARIOS, tiny_spec
 
 
@@ -33,7 +33,7 @@ def test_energy_by_hand(shape: Shape, size_m: Vector, angular: list[float], mome
     scene, trajectory = moving(shape, size_m, angular)
     kinetic = 0.5 * 2 * 3**2 + 0.5 * moment * 4**2
     np.testing.assert_allclose(energy(scene, trajectory), [kinetic, kinetic + 2 * 10 * 1, 0.0])
-    np.testing.assert_allclose(largest_gain(scene, trajectory), 20 / max(kinetic, 10))
+    np.testing.assert_allclose(largest_energy_gain(scene, trajectory), 20 / max(kinetic, 10))
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -42,8 +42,8 @@ def test_energy_never_grows(name: str, simulator: Simulator) -> None:
     for pair in range(6):
         for experiment in scenario.twin_pair(SCENARIOS[name], data_seed=0, pair=pair, simulator=simulator):
             counterfactual = experiment.do_operation.apply(experiment.scene)
-            assert largest_gain(experiment.scene, experiment.observed) <= 0.01
-            assert largest_gain(counterfactual, experiment.counterfactual) <= 0.01
+            assert largest_energy_gain(experiment.scene, experiment.observed) <= 0.01
+            assert largest_energy_gain(counterfactual, experiment.counterfactual) <= 0.01
 
 
 def test_balls_that_gain_energy_are_not_kept(scenario_of: Callable[..., Scenario], simulator: Simulator) -> None:
@@ -52,6 +52,6 @@ def test_balls_that_gain_energy_are_not_kept(scenario_of: Callable[..., Scenario
     for limit in (1.0, 0.01):
         scenario = scenario_of("balls", f"scenario.max_energy_gain={limit}")
         twins = scenario.twin_pair(4, data_seed=0, pair=48, simulator=simulator)
-        gains.append(max(largest_gain(twin.scene, twin.observed) for twin in twins))
+        gains.append(max(largest_energy_gain(twin.scene, twin.observed) for twin in twins))
     assert gains[0] > 0.03
     assert gains[1] <= 0.01

@@ -1,18 +1,21 @@
 import numpy as np
 
 from cophy.scenario import simulator as simulator_module
-from cophy.scenario.simulator import RememberingSimulator
+from cophy.scenario.simulator import CachingSimulator
 
 
 def test_a_scene_is_simulated_once_until_it_is_forgotten(scenario_of) -> None:
     scenario = scenario_of("collision")
-    scene = scenario.under(0, scenario.sample_scene(0, (0, 1), np.random.default_rng(0)))
-    with RememberingSimulator() as simulator:
+    scene = scenario.with_configuration(0, scenario.sample_scene(0, (0, 1), np.random.default_rng(0)))
+    with CachingSimulator() as simulator:
         first = scenario.simulate(simulator, scene)
-        assert scenario.simulate(simulator, scenario.under(0, scene.with_velocities(_velocities(scene)))) is first
-        assert scenario.simulate(simulator, scenario.under(1, scene)) is not first
+        assert (
+            scenario.simulate(simulator, scenario.with_configuration(0, scene.with_velocities(_velocities(scene))))
+            is first
+        )
+        assert scenario.simulate(simulator, scenario.with_configuration(1, scene)) is not first
         assert simulator.num_simulations == 2
-        simulator.forget()
+        simulator.clear_cache()
         again = scenario.simulate(simulator, scene)
         assert simulator.num_simulations == 3
         assert np.array_equal(again.states, first.states)
@@ -22,11 +25,13 @@ def test_the_oldest_is_forgotten_where_there_are_too_many(scenario_of, monkeypat
     scenario = scenario_of("collision")
     scene = scenario.sample_scene(0, (0, 1), np.random.default_rng(0))
     monkeypatch.setattr(simulator_module, "MOST", 2)
-    with RememberingSimulator() as simulator:
-        first, second, third = (scenario.simulate(simulator, scenario.under(each, scene)) for each in (0, 1, 2))
-        assert scenario.simulate(simulator, scenario.under(1, scene)) is second
-        assert scenario.simulate(simulator, scenario.under(2, scene)) is third
-        assert scenario.simulate(simulator, scenario.under(0, scene)) is not first
+    with CachingSimulator() as simulator:
+        first, second, third = (
+            scenario.simulate(simulator, scenario.with_configuration(each, scene)) for each in (0, 1, 2)
+        )
+        assert scenario.simulate(simulator, scenario.with_configuration(1, scene)) is second
+        assert scenario.simulate(simulator, scenario.with_configuration(2, scene)) is third
+        assert scenario.simulate(simulator, scenario.with_configuration(0, scene)) is not first
         assert simulator.num_simulations == 4
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from cophy.errors import CophyError
 from cophy.scenario import Body, Clock, Scene, Shape, Simulator, Solver, Trajectory
-from cophy.scenario.physics import floor, walls
+from cophy.scenario.physics import make_floor, make_walls
 
 CLOCK = Clock(num_frames=30, frame_rate_hz=5, state_rate_hz=20)
 IMPACTS = Solver(step_rate_hz=240, iterations=50, elastic_impacts=True)  # as balls and collision
@@ -53,7 +53,7 @@ def test_head_on_elastic_impacts_conserve_momentum_and_energy(
 def test_a_slab_slides_v_squared_over_two_mu_g(simulator: Simulator, friction: float, solver: Solver) -> None:
     speed = 4.0  # a slab, since a cube with friction 1 is about to topple
     slab = Body(Shape.BOX, (1, 1, 0.2), (0, 0, 0.1), 0, 1.0, friction, linear_velocity=(speed, 0.0, 0.0))
-    distance = run(simulator, floor(), slab, solver=solver).states[-1, 0, 0]
+    distance = run(simulator, make_floor(), slab, solver=solver).states[-1, 0, 0]
     assert distance == pytest.approx(speed**2 / (2 * friction * G), rel=0.015)
 
 
@@ -63,7 +63,7 @@ def test_a_sliding_sphere_ends_rolling_at_five_sevenths_of_its_speed(
     simulator: Simulator, friction: float, mass: float
 ) -> None:
     ball = sphere(0, 0.0, speed=4.0, friction=friction, mass=mass, restitution=0.0)
-    after = run(simulator, floor(), ball).states[-1, 0]
+    after = run(simulator, make_floor(), ball).states[-1, 0]
     assert after[7] == pytest.approx(4.0 * 5 / 7, rel=1e-3)
     assert after[11] == pytest.approx(after[7] / 0.5, rel=1e-3)  # rolls without slipping
 
@@ -81,7 +81,7 @@ def test_a_lying_cylinder_ends_rolling_at_two_thirds_of_its_speed(simulator: Sim
         (half, 0.0, 0.0, half),
         linear_velocity=(4.0, 0.0, 0.0),
     )
-    after = run(simulator, floor(), rolling).states[-1, 0]
+    after = run(simulator, make_floor(), rolling).states[-1, 0]
     assert after[7] == pytest.approx(4.0 * 2 / 3, rel=2e-3)
     assert abs(after[1]) < 0.05
 
@@ -89,12 +89,12 @@ def test_a_lying_cylinder_ends_rolling_at_two_thirds_of_its_speed(simulator: Sim
 def test_a_standing_cylinder_slides_a_little_short(simulator: Simulator) -> None:
     """6 % less than v²/(2μg), see docs/benchmark/physics.md."""
     sliding = Body(Shape.CYLINDER, (1, 1, 1), (0, 0, 0.5), 0, 1.0, 0.5, linear_velocity=(4.0, 0.0, 0.0))
-    distance = run(simulator, floor(), sliding).states[-1, 0, 0]
+    distance = run(simulator, make_floor(), sliding).states[-1, 0, 0]
     assert distance == pytest.approx(4.0**2 / (2 * 0.5 * G), rel=0.08)
 
 
 def test_a_ball_between_elastic_walls_keeps_its_speed(simulator: Simulator) -> None:
-    states = run(simulator, *walls(2.0, 2.0), sphere(0, 0.3, speed=5.0), gravity=0.0).states[:, 0]
+    states = run(simulator, *make_walls(2.0, 2.0), sphere(0, 0.3, speed=5.0), gravity=0.0).states[:, 0]
     assert (np.diff(np.sign(states[:, 7])) != 0).sum() >= 5
     np.testing.assert_allclose(np.abs(states[:, 7]), 5.0, rtol=1e-6)
     assert np.abs(states[:, 0]).max() <= 1.5 + 5.0 / IMPACTS.step_rate_hz  # a wall is felt one step after its touch
@@ -107,12 +107,12 @@ def test_the_balls_scenario_is_elastic_among_balls_and_walls(scenario_of) -> Non
 def test_the_same_scene_gives_the_same_bytes_whatever_was_simulated_before(simulator: Simulator) -> None:
     ball = sphere(0, -2.0, speed=4.0, friction=0.5, restitution=0.5)
     cylinder = Body(Shape.CYLINDER, (1, 1, 1), (0.1, 0.1, 0.5), 1, mass=10.0, friction=0.5, restitution=0.5)
-    other = (floor(), *walls(3.0, 2.0), replace(ball, slot=2, position=(0.0, 1.0, 2.0)))
-    first = run(simulator, floor(), ball, cylinder).states.tobytes()
+    other = (make_floor(), *make_walls(3.0, 2.0), replace(ball, slot=2, position=(0.0, 1.0, 2.0)))
+    first = run(simulator, make_floor(), ball, cylinder).states.tobytes()
     run(simulator, *other, solver=Solver(480, 20, False))
-    assert run(simulator, floor(), ball, cylinder).states.tobytes() == first
+    assert run(simulator, make_floor(), ball, cylinder).states.tobytes() == first
     with Simulator() as fresh:
-        assert run(fresh, floor(), ball, cylinder).states.tobytes() == first
+        assert run(fresh, make_floor(), ball, cylinder).states.tobytes() == first
 
 
 @pytest.mark.parametrize(("step_rate_hz", "steps_at_once"), [(240, 4), (180, 1), (640, 32), (260, 1)])
@@ -120,7 +120,7 @@ def test_several_steps_in_a_call_are_the_bytes_of_single_steps(
     simulator: Simulator, monkeypatch: pytest.MonkeyPatch, step_rate_hz: int, steps_at_once: int
 ) -> None:
     solver = Solver(step_rate_hz, 50, elastic_impacts=True)
-    bodies = (floor(), *walls(3.0, 2.0), sphere(0, -2.0, speed=7.0), sphere(1, 0.3, speed=1.0, friction=0.5))
+    bodies = (make_floor(), *make_walls(3.0, 2.0), sphere(0, -2.0, speed=7.0), sphere(1, 0.3, speed=1.0, friction=0.5))
     step, calls = pybullet.stepSimulation, list[int]()
     monkeypatch.setattr(pybullet, "stepSimulation", lambda client: (calls.append(1), step(client)))
     whole = run(simulator, *bodies, solver=solver).states
@@ -132,9 +132,9 @@ def test_several_steps_in_a_call_are_the_bytes_of_single_steps(
 
 def test_two_simulators_do_not_disturb_each_other(simulator: Simulator) -> None:
     with Simulator() as other:
-        alone = run(simulator, floor(), sphere(0, 0.0, speed=1.0)).states
-        run(other, floor(), sphere(0, 5.0, speed=9.0))
-        np.testing.assert_array_equal(run(simulator, floor(), sphere(0, 0.0, speed=1.0)).states, alone)
+        alone = run(simulator, make_floor(), sphere(0, 0.0, speed=1.0)).states
+        run(other, make_floor(), sphere(0, 5.0, speed=9.0))
+        np.testing.assert_array_equal(run(simulator, make_floor(), sphere(0, 0.0, speed=1.0)).states, alone)
 
 
 def test_a_step_rate_that_misses_the_states_is_refused(simulator: Simulator) -> None:
@@ -144,7 +144,8 @@ def test_a_step_rate_that_misses_the_states_is_refused(simulator: Simulator) -> 
 
 def test_simulating_from_other_velocities_is_simulating_to_a_micrometre(simulator: Simulator) -> None:
     scene = Scene(
-        (floor(), *walls(3.0, 2.0), sphere(0, -1.0, friction=0.5), sphere(1, 1.0, friction=0.5)), (0.0, 0.0, -G)
+        (make_floor(), *make_walls(3.0, 2.0), sphere(0, -1.0, friction=0.5), sphere(1, 1.0, friction=0.5)),
+        (0.0, 0.0, -G),
     )
     timing = {"solver": IMPACTS, "frame_rate_hz": CLOCK.frame_rate_hz}
     for velocity in (np.array([[4.0, 0.5], [0.0, 1.0]]), np.array([[1.0, 1.0], [-2.0, 0.0]])):

@@ -77,7 +77,7 @@ def agreement(blocktower: Blocktower, simulator: Simulator, *, towers: int, num_
     """(tower, 2): margin on paper, and whether simulation agrees; half of the towers stand on paper."""
     rng, rows = np.random.default_rng(seed), []
     while len(rows) < towers:
-        tower = blocktower.tower_search.random_towers(num_levels, rng).take(np.array([0]))
+        tower = blocktower.tower_search.sample_towers(num_levels, rng).select(np.array([0]))
         mass, friction = rng.choice([1.0, 10.0], num_levels), rng.choice([0.5, 1.0], num_levels)
         gravity = rng.choice([-1.0, 0.0, 1.0], 2)
         margins = blocktower.statics.margins(*tower, Combinations(mass[None], gravity[None] / 10.0))

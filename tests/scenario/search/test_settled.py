@@ -3,7 +3,7 @@
 import numpy as np
 
 from cophy.scenario.statics import Combinations
-from cophy.scenario.towers import settled
+from cophy.scenario.towers import is_identifiable
 
 # masses of two blocks, 1 or 10 each, under upright gravity, then under tilted gravity
 MASS = np.array([[1, 1], [1, 10], [10, 1], [10, 10]] * 2, dtype=float)
@@ -12,7 +12,7 @@ STANDS = 2
 
 
 def tells(falls_from: list[int], stands: list[bool]) -> list[bool]:
-    return settled(np.array([falls_from]), np.array([stands]), EVERY)[0].tolist()
+    return is_identifiable(np.array([falls_from]), np.array([stands]), EVERY)[0].tolist()
 
 
 def test_a_tower_that_stands_shows_nothing_else() -> None:
@@ -37,6 +37,6 @@ def test_blocks_that_fall_show_the_ratio_of_their_masses() -> None:
 
 
 def test_every_tower_is_judged_alone() -> None:
-    found = settled(np.full((2, 8), STANDS), np.array([[True] * 8, [True, False] * 4]), EVERY)
+    found = is_identifiable(np.full((2, 8), STANDS), np.array([[True] * 8, [True, False] * 4]), EVERY)
     assert found.all(axis=1).tolist() == [True, False]
     assert not found[1].any()

@@ -27,8 +27,8 @@ def test_a_do_operation_that_changes_nothing_is_not_kept(name: str, scenario_of,
     scenario = scenario_of(name)
     twins = scenario.twin_pair(SCENARIOS[name], data_seed=0, pair=0, simulator=simulator)
     scenes, observed = [twin.scene for twin in twins], tuple(twin.observed for twin in twins)
-    assert scenario.different_outcomes(scenes, simulator) is not None
-    assert scenario.different_outcomes(scenes, simulator, observed) is None
+    assert scenario.simulate_twins(scenes, simulator) is not None
+    assert scenario.simulate_twins(scenes, simulator, observed) is None
 
 
 def test_an_object_that_is_removed_does_not_count_as_moved(scenario_of, simulator: Simulator) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from cophy.scenario import Blocktower, Scenario
 from cophy.scenario.statics import Combinations
-from cophy.scenario.towers import TOWER_CELLS, TowerCell, settled, tower_of
+from cophy.scenario.towers import TOWER_CELLS, TowerCell, is_identifiable, read_tower
 
 KINDS = ["displace_x", "displace_y", "remove_top"]
 
@@ -19,7 +19,7 @@ def blocktower(scenario_of: Callable[..., Scenario]) -> Blocktower:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_outcomes_of_proposals_are_open_and_true(kind: str, blocktower: Blocktower) -> None:
-    found = blocktower.tower_search.proposals(kind, 3, np.random.default_rng(0))
+    found = blocktower.tower_search.propose(kind, 3, np.random.default_rng(0))
     smallest, largest = blocktower.stable_fraction
     assert len(found.level) > 100
     for stands, towers in zip((found.falls_from == 3, found.stands), found.towers, strict=True):
@@ -31,7 +31,7 @@ def test_outcomes_of_proposals_are_open_and_true(kind: str, blocktower: Blocktow
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_proposed_c_is_a_under_the_do_operation(kind: str, blocktower: Blocktower) -> None:
-    found = blocktower.tower_search.proposals(kind, 3, np.random.default_rng(1))
+    found = blocktower.tower_search.propose(kind, 3, np.random.default_rng(1))
     a, c = found.towers
     if kind == "remove_top":
         np.testing.assert_array_equal(a.xy[:, :2], c.xy)
@@ -51,7 +51,7 @@ def test_candidates_fill_the_cell_and_its_twin_on_paper(kind: str, cell: TowerCe
     scene, do_operation = next(
         blocktower.tower_search.candidates(twins, cell, kind, (3, 0, 1), np.random.default_rng(0))
     )
-    towers = [tower_of(scene), tower_of(do_operation.apply(scene))]
+    towers = [read_tower(scene), read_tower(do_operation.apply(scene))]
     every = statics.combinations(3)
     margins = np.stack([statics.margins(*tower, every)[0] for tower in towers])
     for confounders, expected in zip(twins, (cell, cell.twin), strict=True):
@@ -61,7 +61,7 @@ def test_candidates_fill_the_cell_and_its_twin_on_paper(kind: str, cell: TowerCe
         assert tuple(margins[:, own][:, 0] > 0) == expected[:2]
         assert (np.abs(margins[:, own]) >= blocktower.min_margin - 1e-9).all()
     falls_from = statics.falls_from(*towers[0], every)
-    tells = settled(falls_from, margins[1:] > 0, every)[0]
+    tells = is_identifiable(falls_from, margins[1:] > 0, every)[0]
     assert all(tells[every.find(Combinations(np.array([own.mass]), np.array([own.gravity_xy]) / 10))] for own in twins)
     assert do_operation.kind == kind
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from cophy.scenario.towers import TOWER_BLOCKS, TOWER_CELLS, TowerCell, Towers, tower_of
+from cophy.scenario.towers import TOWER_BLOCKS, TOWER_CELLS, TowerCell, Towers, read_tower
 
 LEANING = Towers(np.array([[[0.0, 0.0], [0.3, -0.1], [0.2, 0.4]]]), np.array([[0.1, 0.7, 1.2]]))
 
@@ -9,7 +9,7 @@ def test_a_tower_is_the_same_before_and_after_it_is_a_scene() -> None:
     scene = LEANING.scene(0, (2, 0, 1), block_size=1.0, gravity_z=-10.0)
     assert [block.slot for block in scene.objects] == [2, 0, 1]
     assert [block.position[2] for block in scene.objects] == [0.5, 1.5, 2.5]
-    for found, expected in zip(tower_of(scene), LEANING, strict=True):
+    for found, expected in zip(read_tower(scene), LEANING, strict=True):
         np.testing.assert_allclose(found, expected)
 
 
