@@ -398,7 +398,7 @@ def _check_statics(arrays: Arrays, statics: TowerStatics, standing: np.ndarray, 
     """Check that statics of the stored geometry give the stored outcomes, and that AB determines those of CD."""
     combinations, slots = statics.combinations(num_objects), slots_in_order(arrays, num_objects)
     mass = np.take_along_axis(arrays["mass"], slots, axis=1)
-    true = combinations.find(Combinations(mass, arrays["gravity"][:, :2] / -statics.gravity_z))[:, None]
+    true = combinations.nearest(Combinations(mass, arrays["gravity"][:, :2] / -statics.gravity_z))[:, None]
     (falls_from, observed_stands), (_, counterfactual_stands) = (
         _statics_of_first_frames(arrays, statics, sequence, num_objects) for sequence in (0, 1)
     )

@@ -189,7 +189,9 @@ def _agreements(
     for twin, row in enumerate(rows):
         do_operation = do_operation_of(arrays, row, scenario)
         configurations = standing if true_stand[twin] else falling[twin]
-        alternatives = [do_operation.apply(scenario.with_configuration(configuration, scene)) for configuration in configurations]
+        alternatives = [
+            do_operation.apply(scenario.with_configuration(configuration, scene)) for configuration in configurations
+        ]
         yield _same_counterfactual(scenario, alternatives, counterfactual[twin], simulator)
 
 

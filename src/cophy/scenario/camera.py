@@ -18,6 +18,7 @@ class Window(NamedTuple):
     def cut(self, images: np.ndarray) -> np.ndarray:
         """Crop images (T, R, R, ...); pixels that are partly inside are included."""
         size = images.shape[1]
+        width = min(size, int(np.ceil(self.edge * size)) + 1)
         left, top = (min(int(start * size), size - width) for start in (self.left, self.top))
         return images[:, top : top + width, left : left + width]
 
