@@ -1,4 +1,4 @@
-"""How the benchmarks measure: CPU time, in pairs within one run, because other users of a machine slow both of a pair alike."""
+"""Ratios of CPU times, measured in pairs within one run, because other users of a machine slow both of a pair alike."""
 
 import statistics
 import time
@@ -13,7 +13,7 @@ NUM_OBJECTS = {"blocktower": 3, "balls": 4, "collision": 2}
 
 @dataclass(frozen=True)
 class Measured:
-    """A ratio, once per pair of runs. reach: what it shall be at least (≥) or at most (≤), or nothing."""
+    """A ratio, once per pair of runs. `reach` is the goal, for example "≤ 1.2", or empty."""
 
     what: str
     unit: str
@@ -22,18 +22,18 @@ class Measured:
 
     @property
     def median(self) -> float:
-        """What is reported."""
+        """Median of all pairs, the number that is reported."""
         return statistics.median(self.ratios)
 
 
 def cpu_seconds(run: Callable[[], object]) -> float:
-    """CPU time of this process in one call."""
+    """Measure the CPU time of this process in one call."""
     start = time.process_time()
     run()
     return time.process_time() - start
 
 
 def paired(first: Callable[[], object], second: Callable[[], object]) -> list[float]:
-    """CPU time of `first` ÷ that of `second`, REPEATS times in turn, after one of each that does not count."""
+    """Measure the CPU time of `first` ÷ that of `second`, REPEATS times in turn, after one of each that does not count."""
     first(), second()
     return [cpu_seconds(first) / cpu_seconds(second) for _ in range(REPEATS)]

@@ -22,15 +22,15 @@ RESOLUTION = 224
 
 
 def measure() -> list[Measured]:
-    """All ratios of generation."""
+    """Measure all ratios of generation."""
     rows = []
     with Simulator() as simulator:
         for name, count in NUM_OBJECTS.items():
             scenario = settings("generate", f"scenario={name}").scenario
-            simulated, found = simulation(scenario, count, simulator), search(scenario, count, simulator)
+            simulated, searched = simulation(scenario, count, simulator), search(scenario, count, simulator)
             reach = "≤ 1.15" if name == "blocktower" else "≤ 2.0"
             rows.append(Measured(f"simulation, {name}", "÷ its bare stepSimulation calls", simulated, "≤ 1.15"))
-            rows.append(Measured(f"search, {name}", "÷ simulating what was accepted", found, reach))
+            rows.append(Measured(f"search, {name}", "÷ simulating what was accepted", searched, reach))
     rows += [
         Measured(f"rendering, {name}", "÷ its bare getCameraImage calls", rendering(name), "≤ 1.2")
         for name in NUM_OBJECTS
@@ -40,16 +40,7 @@ def measure() -> list[Measured]:
 
 
 def simulation(scenario: Scenario, num_objects: int, simulator: Simulator) -> list[float]:
-    """Overhead of making the bodies and reading their states.
-
-    Args:
-        scenario: Whose first experiment is simulated.
-        num_objects: In it.
-        simulator: Runs it.
-
-    Returns:
-        CPU time of simulating A ÷ that of its bare calls of stepSimulation.
-    """
+    """Measure the CPU time of simulating A ÷ that of its bare calls of stepSimulation (bodies, reading of states)."""
     experiment, _ = scenario.twin_pair(num_objects, data_seed=0, pair=0, simulator=simulator)
     clock = scenario.clock
     steps = (clock.num_states - 1) * scenario.solver.step_rate_hz // clock.state_rate_hz
@@ -70,24 +61,15 @@ def simulation(scenario: Scenario, num_objects: int, simulator: Simulator) -> li
 
 
 def search(scenario: Scenario, num_objects: int, simulator: Simulator) -> list[float]:
-    """Overhead of looking for experiments; other twin pairs every time.
-
-    Args:
-        scenario: Says what is looked for.
-        num_objects: In every experiment.
-        simulator: Runs it.
-
-    Returns:
-        CPU time of the search ÷ that of simulating what it accepted.
-    """
+    """Measure the CPU time of searching twin pairs ÷ that of simulating those it accepted; new pairs in every repeat."""
     ratios = []
     for repeat in range(REPEATS):
-        found: list[Experiment] = []
+        experiments: list[Experiment] = []
         start = time.process_time()
         for pair in range(PAIRS_AT_ONCE * repeat, PAIRS_AT_ONCE * (repeat + 1)):
-            found += scenario.twin_pair(num_objects, data_seed=0, pair=pair, simulator=simulator)
+            experiments += scenario.twin_pair(num_objects, data_seed=0, pair=pair, simulator=simulator)
         searched = time.process_time()
-        for experiment in found:
+        for experiment in experiments:
             scenario.simulate(simulator, experiment.scene)
             scenario.simulate(simulator, experiment.do_operation.apply(experiment.scene))
         ratios.append((searched - start) / (time.process_time() - searched))
@@ -95,20 +77,20 @@ def search(scenario: Scenario, num_objects: int, simulator: Simulator) -> list[f
 
 
 def rendering(name: str) -> list[float]:
-    """Overhead of stages, bodies, conversion, compression and boxes, at 224 × 224 with all three modalities."""
+    """Measure the overhead of stages, bodies, conversion, compression and boxes, at 224 × 224 with all three modalities."""
     with tempfile.TemporaryDirectory() as data_dir:
-        states = made_states(name, NUM_OBJECTS[name], 2 * REPEATS, Path(data_dir))
+        states = generate_states(name, NUM_OBJECTS[name], 2 * REPEATS, Path(data_dir))
         images = Images(states, RenderSettings(list(MODALITIES), RESOLUTION, Backend.tiny))
         return [seconds / camera for seconds, camera in (draw(images, shard) for shard in range(REPEATS))]
 
 
 def second_worker() -> list[float]:
-    """Twice the CPU time of generation with one worker ÷ that with two: their throughputs, had each worker a core."""
+    """Measure twice the CPU time of generation with one worker ÷ that with two: their throughputs, had each worker a core."""
     return [2 * _generating(1) / _generating(2) for _ in range(REPEATS)]
 
 
 def _generating(workers: int) -> float:
-    """CPU-s of generate.py and its workers for 480 towers in four shards."""
+    """Measure the CPU-s of generate.py and its workers for 480 towers in four shards."""
     size = ["size.experiments_per_shard=120", "size.num_experiments.blocktower.3=480"]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as data_dir:
@@ -118,16 +100,8 @@ def _generating(workers: int) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def made_states(name: str, num_objects: int, num_experiments: int, data_dir: Path, *, per_shard: int = 2) -> States:
-    """A finished dataset.
-
-    Args:
-        name: Of the scenario.
-        num_objects: In every experiment.
-        num_experiments: How many are made.
-        data_dir: Where it goes.
-        per_shard: Experiments in a shard.
-    """
+def generate_states(name: str, num_objects: int, num_experiments: int, data_dir: Path, *, per_shard: int = 2) -> States:
+    """Generate a dataset of `num_experiments` experiments in `data_dir`, `per_shard` in each shard."""
     scenario = settings("generate", f"scenario={name}").scenario
     size = Size("bench", per_shard, {name: {str(num_objects): num_experiments}})
     states = States(DatasetSpec(scenario, num_objects, size, 0), data_dir)
@@ -139,7 +113,7 @@ def made_states(name: str, num_objects: int, num_experiments: int, data_dir: Pat
 
 
 def draw(images: Images, shard: int) -> tuple[float, float]:
-    """CPU-s of drawing and storing a shard, and of these inside PyBullet's camera."""
+    """Measure the CPU-s of drawing and storing a shard, and of these inside PyBullet's camera."""
     images.directory.mkdir(exist_ok=True)
     start = time.process_time()
     took = images.write(images.path(shard), shard, lambda done: None)

@@ -21,7 +21,7 @@ NUM_FRAMES = 1600
 
 
 def measure() -> list[Measured]:
-    """Ratios of loading to training."""
+    """Measure ratios of loading to training."""
     model, experiments = network(), epoch_of_towers()
     load, train = epoch(experiments, lambda batch: None), epoch(experiments, training_step(model, model))
     copies = paired(load, lambda: map_tensors(torch.clone, experiments.batch))
@@ -33,20 +33,20 @@ def measure() -> list[Measured]:
 
 
 def epoch_of_towers() -> CounterfactualDataset:
-    """As many random experiments as train at size=small."""
+    """Draw as many random experiments as the training split of size=small has."""
     return CounterfactualDataset(random_batch(EXPERIMENTS_PER_EPOCH, *KINDS["towers, 3 of 4 slots"]))
 
 
 def epoch(experiments: CounterfactualDataset, step: Step) -> Callable[[], object]:
-    """The step with every batch of the default size."""
+    """Return a function that runs the step on every batch of the default size."""
     batch_size = settings("train").training.batch_size
     return lambda: [step(batch) for batch in experiments.shuffled(batch_size)]
 
 
 def frames() -> list[Measured]:
-    """CPU time that the training process spends on getting a batch of frames from two workers ÷ on a training step.
+    """Measure the CPU time of receiving a batch of frames from two workers ÷ that of a training step.
 
-    A worker's own time per batch ÷ a step says how much of a worker a training process needs.
+    The second ratio is a worker's own time per batch ÷ a step: how many workers a training process needs.
     """
     with tempfile.TemporaryDirectory() as data_dir:
         data = frame_data(Path(data_dir))
@@ -63,7 +63,7 @@ def frames() -> list[Measured]:
 
 
 def frame_epoch(data: FrameDataModule, step: Callable[[FrameBatch], object]) -> tuple[float, float, float]:
-    """CPU-s of this process to receive all batches, to train on them, and to read all frames itself."""
+    """Measure the CPU-s of this process to receive all batches, to train on them, and to read all frames itself."""
     batches, fetched = iter(data.train_dataloader()), list[FrameBatch]()
     fetching = cpu_seconds(lambda: fetched.extend(batches))
     training = cpu_seconds(lambda: [step(batch) for batch in fetched])
@@ -71,7 +71,7 @@ def frame_epoch(data: FrameDataModule, step: Callable[[FrameBatch], object]) -> 
 
 
 def frame_data(data_dir: Path) -> FrameDataModule:
-    """NUM_FRAMES frames of freshly drawn towers, two workers."""
+    """Render NUM_FRAMES frames of towers, for loading by two workers."""
     chosen = settings("train", "model=derenderer", "size=tiny")
     data = FrameDataModule(
         generated_sets(chosen.scenario, chosen.split, None, size=chosen.size, data_seed=0, data_dir=data_dir),
@@ -88,7 +88,7 @@ def frame_data(data_dir: Path) -> FrameDataModule:
 
 
 def derendering_step(data: FrameDataModule) -> Callable[[FrameBatch], object]:
-    """Forward, backward and Adam of the de-renderer as conf/ has it."""
+    """Return a training step of the de-renderer with Adam."""
     torch.manual_seed(0)
     model = build_network(to_plain(composed("train", "model=derenderer").model))
     assert isinstance(model, Derenderer)

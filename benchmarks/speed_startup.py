@@ -9,7 +9,7 @@ from measure import REPEATS, ROOT, Measured
 
 
 def measure() -> list[Measured]:
-    """Seconds, not ratios: start-up has nothing to be held against."""
+    """Measure seconds, not ratios: there is nothing to compare start-up with."""
     with tempfile.TemporaryDirectory() as directory:
         places = [f"data_dir={directory}/data", f"hydra.run.dir={directory}/run", "size=tiny"]
         _cpu_seconds("generate.py", *places, "num_objects=[3]")

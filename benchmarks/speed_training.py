@@ -29,7 +29,7 @@ EXPERIMENTS_PER_EPOCH = 2800  # the training split of size=small
 
 
 class Kind(NamedTuple):
-    """What is trained on: so many objects, anywhere among the slots."""
+    """Numbers of slots and of objects of an experiment."""
 
     slots: int
     objects: int
@@ -40,7 +40,7 @@ KINDS = {"towers, 3 of 4 slots": Kind(4, 3), "balls, 4 of 9 slots": Kind(9, 4)}
 
 
 def measure() -> list[Measured]:
-    """Throughput by batch size, CPU time by precision, then a whole epoch."""
+    """Measure throughput by batch size, CPU time by precision, and a whole epoch."""
     default = settings("train").training.batch_size
     rows = []
     for name, kind in KINDS.items():
@@ -49,14 +49,14 @@ def measure() -> list[Measured]:
             rows.append(Measured(f"CoPhyNet, {name}, batch {size}", f"experiments/s ÷ that at {default}", ratios))
         for precision, ratios in precisions(default, kind).items():
             rows.append(Measured(f"CoPhyNet, {name}, {precision}", "CPU time ÷ that in float32", ratios))
-        of_both = (repeated(own_training_step(model), random_batch(default, *kind)) for model in reversed(MODELS))
+        of_both = (repeated(training_step_of(model), random_batch(default, *kind)) for model in reversed(MODELS))
         rows.append(Measured(f"alongside, {name}, its own optimiser", "CPU time ÷ CoPhyNet's", paired(*of_both), "≤ 3"))
     lightning = Measured("CoPhyNet, Lightning and metrics", "epoch ÷ its bare steps", whole_epochs(default))
     return [*rows, lightning]
 
 
 def network() -> CoPhyNet:
-    """The model as conf/ has it."""
+    """Build CoPhyNet as conf/ configures it."""
     torch.manual_seed(0)
     built = build_network(to_plain(composed("train").model))
     assert isinstance(built, CoPhyNet)
@@ -66,7 +66,7 @@ def network() -> CoPhyNet:
 def training_step(
     predict: Callable[[Inputs], Prediction], model: nn.Module, optimiser: Callable[..., Optimizer] = torch.optim.Adam
 ) -> Step:
-    """Forward, backward and a step of the optimiser."""
+    """Return a training step: forward, backward and optimiser."""
     optimizer = optimiser(model.parameters())
 
     def step(batch: Batch) -> None:
@@ -80,8 +80,8 @@ def training_step(
     return step
 
 
-def own_training_step(model: str) -> Step:
-    """Forward, backward, and the optimiser that conf/model/ chooses."""
+def training_step_of(model: str) -> Step:
+    """Return a training step of a model with the optimiser that conf/model/ chooses."""
     chosen = composed("train", f"model={model}")
     torch.manual_seed(0)
     built = build_network(to_plain(chosen.model))
@@ -89,18 +89,18 @@ def own_training_step(model: str) -> Step:
 
 
 def training(size: int, kind: Kind) -> Callable[[], object]:
-    """Training on EXPERIMENTS_AT_ONCE experiments, in batches of `size`."""
+    """Return a function that trains on EXPERIMENTS_AT_ONCE experiments in batches of `size`."""
     model = network()
     return repeated(training_step(model, model), random_batch(size, *kind))
 
 
 def repeated(step: Step, batch: Batch) -> Callable[[], object]:
-    """The step, so often that it has seen EXPERIMENTS_AT_ONCE experiments."""
+    """Return a function that repeats the step until it has seen EXPERIMENTS_AT_ONCE experiments."""
     return lambda: [step(batch) for _ in range(EXPERIMENTS_AT_ONCE // len(batch))]
 
 
 def precisions(size: int, kind: Kind) -> dict[str, list[float]]:
-    """CPU time of a step in bfloat16 autocast, and in float64, ÷ that of one in float32."""
+    """Measure the CPU time of a step in bfloat16 autocast and in float64 ÷ that in float32."""
     single, mixed, double = network(), network(), network().double()
     batch = random_batch(size, *kind)
     batch_in_double = map_tensors(lambda tensor: tensor.double() if tensor.is_floating_point() else tensor, batch)
@@ -139,13 +139,13 @@ def whole_epochs(batch_size: int) -> list[float]:
 
 
 def lightning_module(model: CoPhyNet) -> PredictionModule:
-    """As a run has it, towers of three."""
+    """Build the LightningModule of a run on towers of three."""
     chosen = settings("train")
     return PredictionModule(model, chosen.training, chosen.scenario)
 
 
 def quiet_trainer(directory: str) -> L.Trainer:
-    """One epoch, nothing written or shown."""
+    """Build a trainer of one epoch that writes and shows nothing."""
     return L.Trainer(
         max_epochs=1,
         logger=False,
@@ -158,13 +158,7 @@ def quiet_trainer(directory: str) -> L.Trainer:
 
 
 def random_batch(size: int, slots: int, objects: int) -> Batch:
-    """Experiments of thirty frames that mean nothing.
-
-    Args:
-        size: How many.
-        slots: Of every experiment.
-        objects: How many are present in each, anywhere among the slots.
-    """
+    """Draw `size` random experiments of 30 frames, each with `objects` objects in random slots."""
     presence = torch.rand(size, slots).argsort(dim=1) < objects
     inputs = Inputs(
         observed=torch.randn(size, 30, slots, 3) * presence[:, None, :, None],
