@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cophy.scenario import Scenario, Simulator
-from cophy.scenario.physics import Body, Scene, Shape, Trajectory, Vector, energy, largest_energy_gain
+from cophy.scenario.physics import Body, Scene, Shape, Trajectory, Vector, largest_energy_gain, mechanical_energy
 from tests.conftest import SCENARIOS, tiny_spec
 
 
@@ -32,7 +32,7 @@ def moving(shape: Shape, size_m: Vector, angular: list[float]) -> tuple[Scene, T
 def test_energy_by_hand(shape: Shape, size_m: Vector, angular: list[float], moment: float) -> None:
     scene, trajectory = moving(shape, size_m, angular)
     kinetic = 0.5 * 2 * 3**2 + 0.5 * moment * 4**2
-    np.testing.assert_allclose(energy(scene, trajectory), [kinetic, kinetic + 2 * 10 * 1, 0.0])
+    np.testing.assert_allclose(mechanical_energy(scene, trajectory), [kinetic, kinetic + 2 * 10 * 1, 0.0])
     np.testing.assert_allclose(largest_energy_gain(scene, trajectory), 20 / max(kinetic, 10))
 
 

@@ -4,7 +4,7 @@ from cophy.scenario import simulator as simulator_module
 from cophy.scenario.simulator import CachingSimulator
 
 
-def test_a_scene_is_simulated_once_until_it_is_forgotten(scenario_of) -> None:
+def test_a_scene_is_simulated_once_until_the_cache_is_cleared(scenario_of) -> None:
     scenario = scenario_of("collision")
     scene = scenario.with_configuration(0, scenario.sample_scene(0, (0, 1), np.random.default_rng(0)))
     with CachingSimulator() as simulator:
@@ -21,10 +21,10 @@ def test_a_scene_is_simulated_once_until_it_is_forgotten(scenario_of) -> None:
         assert np.array_equal(again.states, first.states)
 
 
-def test_the_oldest_is_forgotten_where_there_are_too_many(scenario_of, monkeypatch) -> None:
+def test_the_oldest_trajectory_is_deleted_when_the_cache_is_full(scenario_of, monkeypatch) -> None:
     scenario = scenario_of("collision")
     scene = scenario.sample_scene(0, (0, 1), np.random.default_rng(0))
-    monkeypatch.setattr(simulator_module, "MOST", 2)
+    monkeypatch.setattr(simulator_module, "_MAX_CACHED", 2)
     with CachingSimulator() as simulator:
         first, second, third = (
             scenario.simulate(simulator, scenario.with_configuration(each, scene)) for each in (0, 1, 2)
