@@ -25,11 +25,6 @@ UNKNOWN_TO = {
     "scenario": {"torch", "lightning", "omegaconf", "hydra", "h5py"},
     "models": {"lightning", "omegaconf", "hydra", "h5py"},
 }
-# imports of the core that are still to be turned into plug-ins
-STILL = {
-    ("training", "oracles"),
-    ("oracles", "training"),
-}
 
 
 def name_of(path: Path) -> str:
@@ -77,7 +72,7 @@ def test_the_layers_are_all_there_is() -> None:
 def test_a_module_imports_only_earlier_layers(module: str) -> None:
     layer = layer_of(module)
     used = {layer_of(name) for name in IMPORTS[module] & KNOWN}
-    assert {other for other in used - allowed_for(layer) if (layer, other) not in STILL} == set()
+    assert used - allowed_for(layer) == set()
 
 
 @pytest.mark.parametrize("layer", UNKNOWN_TO)

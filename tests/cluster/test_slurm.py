@@ -138,7 +138,7 @@ def test_two_tasks_judge_as_one_process_does(start: Start, tiny_data: Path, tmp_
     keys = (*IN, "trainer.max_epochs=2", f"source.outputs={tmp_path}")
     finished(start("train", *keys, *on_two, "hydra.launcher.tasks_per_node=2", f"data_dir={tiny_data}"))
     two = result(tmp_path)
-    assert "trained already" in train(*keys, data=tiny_data)
+    assert "already trained" in train(*keys, data=tiny_data)
     one = result(tmp_path)
     assert one["num_test"] == two["num_test"]
     np.testing.assert_allclose(one["metrics"]["mse"], two["metrics"]["mse"], atol=1e-6)

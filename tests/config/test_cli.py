@@ -8,7 +8,7 @@ from tests.commands import run
 
 REFUSED = [  # override, and what the error must contain
     ("seed=99999999999", "seed=99999999999 must be at most"),
-    ("model.hidden_dim=10000000000", "model: there is no memory"),
+    ("model.hidden_dim=10000000000", "model: not enough memory"),
     ("trainer.accelerator=foo", "trainer: You selected an invalid accelerator name"),
     ("trainer.devices=0", "trainer: "),
     ("trainer.devices=1000", "trainer.devices=1000 starts as many processes"),

@@ -74,10 +74,10 @@ def test_every_value_of_a_sweep_has_a_directory_and_is_trained_once(tiny_data: P
         "trainer.max_epochs=1,2",
         f"hydra.sweep.dir={tmp_path}",
     )
-    assert "trained already" not in train(*sweep, data=tiny_data)
+    assert "already trained" not in train(*sweep, data=tiny_data)
     results = {path.parent.name: json.loads(path.read_text()) for path in tmp_path.rglob("metrics.json")}
     assert set(results) == {f"seed0+size-tiny+hidden_dim-{dim}+max_epochs-{n}" for dim in (8, 16) for n in (1, 2)}
     assert len({content["metrics"]["mse"] for content in results.values()}) == 4
-    assert train(*sweep, data=tiny_data).count("trained already") == 4
+    assert train(*sweep, data=tiny_data).count("already trained") == 4
     for path in tmp_path.rglob("metrics.json"):
         assert json.loads(path.read_text())["metrics"] == results[path.parent.name]["metrics"]

@@ -94,10 +94,10 @@ def test_a_checkpoint_of_another_training_and_weights_alone_are_refused(tiny_dat
     train("model.hidden_dim=8", f"hydra.run.dir={tmp_path}", data=tiny_data)
     last = tmp_path / "checkpoints" / "last.ckpt"
     printed = train(f"ckpt={last}", f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
-    assert "is of another training (model.hidden_dim=8)" in printed
+    assert "belongs to another training (model.hidden_dim=8)" in printed
     other = ("model.hidden_dim=8", f"ckpt={last}", "seed=1", "trainer.precision=64-true", "trainer.max_epochs=2")
     printed = train(*other, f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
-    assert "is of another training (seed=0, trainer.precision=32-true): go on with" in printed
+    assert "belongs to another training (seed=0, trainer.precision=32-true): use the same settings" in printed
     best = last.with_name("best.ckpt")
     assert best.stat().st_size < last.stat().st_size / 2
     printed = train("model.hidden_dim=8", f"ckpt={best}", f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)

@@ -31,7 +31,7 @@ def test_two_processes_leave_what_one_does(tiny_data: Path, tmp_path: Path, size
     assert two["num_test"] == len(predicted["pair"]) == one["num_test"]
     assert two["validation"] == pytest.approx(one["validation"], abs=1e-4)  # two trainings, rounded otherwise
     again = train(*keys, f"source.outputs={tmp_path / 'two'}", data=tiny_data)
-    assert "trained already" in again  # the same run; its checkpoint is tested by one process
+    assert "already trained" in again  # the same run; its checkpoint is tested by one process
     tested, told = left(tmp_path / "two")
     assert tested["metrics"] == pytest.approx(two["metrics"], abs=1e-6)
     assert tested["intervals"].keys() == two["intervals"].keys()

@@ -24,14 +24,14 @@ def curves_in(root: Path) -> dict[Path, bytes]:
 
 def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path: Path) -> None:
     printed = train("-m", *HALVES, "split=4to4,4to3", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
-    assert printed.count("trained already") == 1
+    assert printed.count("already trained") == 1
     assert str(tmp_path / f"balls/4to4/cophynet/full/ground_truth/{RUN}/checkpoints") in printed
     assert result(tmp_path, "4to3")["metrics"]["mse"] != result(tmp_path, "4to4")["metrics"]["mse"]
     assert result(tmp_path, "4to3")["training_seconds"] == result(tmp_path, "4to4")["training_seconds"]
     named = "scenario.task.splits=[4to4,4to2,4to3,4to5,4to6,mine]"  # a split more does not train the others again
-    assert "trained already" in train("-m", *HALVES, named, "split=4to3", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
+    assert "already trained" in train("-m", *HALVES, named, "split=4to3", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
     alone = train(*HALVES, "split=4to3", f"hydra.run.dir={tmp_path / 'alone'}", data=tiny_data)
-    assert "trained already" not in alone
+    assert "already trained" not in alone
     metrics = json.loads((tmp_path / "alone" / "metrics.json").read_text())["metrics"]
     assert metrics == result(tmp_path, "4to3")["metrics"]  # reuse changes no number
 
@@ -58,9 +58,9 @@ def test_a_kept_checkpoint_is_tested_instead_of_training(tiny_data: Path, tmp_pa
         "optimizer=soap": "_target_",
     }.items():
         printed = train(*elsewhere, key, data=tiny_data, code=1)
-        assert f"{kept} is of another training (" in printed
+        assert f"{kept} belongs to another training (" in printed
         assert own in printed
-    assert "metrics.json is of a training with these settings" in train(
+    assert "metrics.json belongs to a training with these settings" in train(
         *HALVES, "split=4to3", f"predictor={kept}", f"source.outputs={tmp_path}", data=tiny_data, code=1
     )
     assert result(tmp_path, "4to3") == trained
@@ -74,7 +74,7 @@ def test_a_checkpoint_that_does_not_say_its_seed_is_not_tested(tiny_data: Path, 
     del saved["origin"]["seed"], saved["origin"]["trainer"]
     torch.save(saved, best)
     given = (f"predictor={best}", f"hydra.run.dir={tmp_path}", "model=in")
-    assert "does not say with which seed" in train(*HALVES, *given, data=tiny_data, code=1)
+    assert "does not state its seed" in train(*HALVES, *given, data=tiny_data, code=1)
     assert json.loads((tmp_path / "metrics.json").read_text())["predictor"] is None  # what was there stays
 
 
@@ -89,7 +89,7 @@ def test_curves_are_of_the_last_training_alone(tiny_data: Path, tmp_path: Path) 
     place = (*HALVES, f"source.outputs={tmp_path}", "logger=[tensorboard]", "figures_every_n_epochs=9", "model=in")
     train(*place, data=tiny_data, apart=True)
     first = curves_in(tmp_path)
-    assert "trained already" in train(*place, data=tiny_data, apart=True)
+    assert "already trained" in train(*place, data=tiny_data, apart=True)
     assert curves_in(tmp_path) == first
     train(*place, "reuse=false", data=tiny_data, apart=True)
     assert not curves_in(tmp_path).keys() & first.keys()
@@ -98,10 +98,10 @@ def test_curves_are_of_the_last_training_alone(tiny_data: Path, tmp_path: Path) 
 def test_another_training_is_not_reused(tiny_data: Path, tmp_path: Path) -> None:
     place = (*HALVES, f"source.outputs={tmp_path}")
     train(*place, data=tiny_data)
-    assert "trained already" in train(*place, data=tiny_data)
-    assert "trained already" not in train(*place, "reuse=false", data=tiny_data)
-    assert "trained already" not in train(*place, "training.learning_rate=0.002", data=tiny_data)
-    assert "trained already" not in train(*place, "seed=1", data=tiny_data)
+    assert "already trained" in train(*place, data=tiny_data)
+    assert "already trained" not in train(*place, "reuse=false", data=tiny_data)
+    assert "already trained" not in train(*place, "training.learning_rate=0.002", data=tiny_data)
+    assert "already trained" not in train(*place, "seed=1", data=tiny_data)
 
 
 def test_a_failed_row_is_noted_and_the_others_run(tiny_data: Path, tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_a_training_of_other_code_is_not_reused(tiny_data: Path, tmp_path: Path,
     place = (*own, f"hydra.run.dir={tmp_path / 'run'}")
     for scale, reused in ((1, False), (1, True), (2, False)):
         (tmp_path / "helper.py").write_text(f"SCALE = {scale}\n")
-        assert ("trained already" in train(*place, data=tiny_data, apart=True)) == reused
+        assert ("already trained" in train(*place, data=tiny_data, apart=True)) == reused
 
 
 def test_a_model_that_crashes_in_a_sweep_leaves_its_traceback(

@@ -51,11 +51,11 @@ def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(
     assert stopped(part, tiny_data, signal.SIGTERM, *keys) == 128 + signal.SIGTERM
     assert stopped(part, tiny_data, signal.SIGKILL, *keys) == -signal.SIGKILL
     printed = train(*KEYS, *keys, f"hydra.run.dir={part}", data=tiny_data, apart=apart)
-    assert f"goes on where it was stopped: {part / 'checkpoints' / 'last.ckpt'}" in printed
+    assert f"continues where it stopped: {part / 'checkpoints' / 'last.ckpt'}" in printed
     whole, resumed = result(tmp_path / "whole"), result(part)
     assert (whole["resumed"], resumed["resumed"]) == (0, 2)
     assert {key: whole[key] for key in whole.keys() - TIMES} == {key: resumed[key] for key in resumed.keys() - TIMES}
-    assert "trained already" in train(*KEYS, *(() if apart else keys), f"hydra.run.dir={part}", data=tiny_data)
+    assert "already trained" in train(*KEYS, *(() if apart else keys), f"hydra.run.dir={part}", data=tiny_data)
     assert result(part)["resumed"] == 2
 
 
@@ -63,7 +63,7 @@ def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(
 def test_another_training_does_not_go_on_with_it(tiny_data: Path, tmp_path: Path, other: str) -> None:
     stopped(tmp_path, tiny_data, signal.SIGKILL)
     last = (tmp_path / "checkpoints" / "last.ckpt").read_bytes()
-    assert "goes on" not in train(*KEYS, other, f"hydra.run.dir={tmp_path}", data=tiny_data)
+    assert "continues" not in train(*KEYS, other, f"hydra.run.dir={tmp_path}", data=tiny_data)
     assert result(tmp_path)["resumed"] == 0
     assert (tmp_path / "checkpoints" / "last_of_stopped.ckpt").read_bytes() == last  # hours of work, perhaps
 
@@ -80,7 +80,7 @@ def test_a_longer_training_goes_on_with_the_best_so_far(tiny_data: Path, tmp_pat
     assert result(tmp_path / "long")["validation"] == result(tmp_path / "short")["validation"]
     assert result(tmp_path / "long")["resumed"] == 1
     again = ("trainer.max_epochs=4", "trainer.limit_val_batches=0", f"ckpt={given}")
-    assert "trained already" in train(*keys, *again, data=tiny_data)
+    assert "already trained" in train(*keys, *again, data=tiny_data)
 
 
 def test_a_time_limit_ends_the_training(tiny_data: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The checkpoints that the repository holds: today's code loads them, and they know more than to copy."""
+"""The checkpoints of the repository: the current code loads them, and they are better than copy C."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ from tests.conftest import ROOT
 
 FOLDER = ROOT / "checkpoints"
 KEPT = sorted(FOLDER.glob("*.ckpt"))
-TOLD = [path for path in KEPT if path.stem.endswith("in_sup")]  # the true confounders
+SUPERVISED = [path for path in KEPT if path.stem.endswith("in_sup")]  # the true confounders
 
 
 def test_the_readme_lists_them() -> None:
@@ -21,19 +21,19 @@ def test_the_readme_lists_them() -> None:
     assert sorted(listed) == [path.name for path in KEPT]
 
 
-@pytest.mark.parametrize("checkpoint", [path for path in KEPT if path not in TOLD], ids=lambda path: path.stem)
-def test_a_checkpoint_errs_less_than_copy_c(checkpoint: Path, tiny_data: Path) -> None:
+@pytest.mark.parametrize("checkpoint", [path for path in KEPT if path not in SUPERVISED], ids=lambda path: path.stem)
+def test_a_checkpoint_is_better_than_copy_c(checkpoint: Path, tiny_data: Path) -> None:
     predictor = cophy.load_predictor(checkpoint)
     experiments = cophy.load(predictor.scenario.name, size="tiny", split=None, data_dir=str(tiny_data))
     (batch,) = DataLoader(experiments, batch_size=len(experiments))
     frames = batch["states"][:, 1, :: predictor.scenario.clock.states_per_frame, :, :3]
     c, d = frames[:, :1], frames[:, 1:]
     present = batch["presence"][:, 1, None, :, None]
-    of_copy, of_predictor = ((guess - d).square().mul(present).sum() for guess in (c, predictor(batch)))
-    assert of_predictor < 0.8 * of_copy
+    copy_error, predictor_error = ((guess - d).square().mul(present).sum() for guess in (c, predictor(batch)))
+    assert predictor_error < 0.8 * copy_error
 
 
-@pytest.mark.parametrize("checkpoint", TOLD, ids=lambda path: path.stem)
-def test_one_that_is_told_the_confounders_is_for_train_py_alone(checkpoint: Path) -> None:
-    with pytest.raises(CophyError, match="wants the true confounders, which no picture shows"):
+@pytest.mark.parametrize("checkpoint", SUPERVISED, ids=lambda path: path.stem)
+def test_a_predictor_that_needs_true_confounders_is_refused(checkpoint: Path) -> None:
+    with pytest.raises(CophyError, match="needs the true confounders, which no image shows"):
         cophy.load_predictor(checkpoint)

@@ -42,7 +42,7 @@ def estimate_dim(network: nn.Module) -> int:
     return int(getattr(network, "estimate_dim", 0))
 
 
-def check_shapes(prediction: Prediction, targets: Targets, network: nn.Module) -> None:
+def check_shapes(prediction: object, targets: Targets, network: nn.Module) -> None:
     """Compare the output of a network with its targets: a user's model may be wrong, and broadcasting would hide it.
 
     Raises:
