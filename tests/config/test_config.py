@@ -169,7 +169,7 @@ MISTAKES = {
     "model=npe model.radius=0": "model.radius=0.0 must be positive",
     "model.interaction=mlp": "model.interaction=mlp needs model.slots",
     "+table=colision": "table=colision does not exist (did you mean collision?)",
-    "model._target_=os.system": "model._target_=os.system cannot be imported",
+    "model._target_=os.system": "model._target_=os.system is not a torch.nn.Module",
     "model._target_=mine.Net": "cannot be imported: no module mine (is its folder on PYTHONPATH?)",
     "model=mine": "(your own folder: --config-dir)",
     "model._target_=collections.Counter": "model._target_=collections.Counter is not a torch.nn.Module",
