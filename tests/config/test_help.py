@@ -14,7 +14,7 @@ from tests.conftest import ROOT
 MAX_LINES, WIDTH = 45, 100
 NAMED = {  # keys and choices that users look for
     "train": ("scenario=blocktower", "split=", "model=cophynet", "ablation=full", "seed=0", "ckpt=null", "+table=",
-              "trainer.max_epochs=40", "sphere_to_cylinder", "gt_conmeaningsers", "hydra/launcher="),
+              "trainer.max_epochs=40", "sphere_to_cylinder", "gt_confounders", "hydra/launcher="),
     "generate": ("scenario=blocktower", "size=small", "num_objects=null", "workers=2", "parts=1"),
     "audit": ("scenario=blocktower", "replayed_pairs=20", "directory=outputs/audit/blocktower"),
     "report": ("outputs=outputs", "directory=outputs/report", "source=generated"),
