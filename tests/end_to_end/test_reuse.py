@@ -1,4 +1,4 @@
-"""A training that was done is not done again."""
+"""A finished training is reused."""
 
 import json
 from pathlib import Path
@@ -36,7 +36,7 @@ def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path
     assert metrics == result(tmp_path, "4to3")["metrics"]  # reuse changes no number
 
 
-def test_a_kept_checkpoint_is_tested_instead_of_training(tiny_data: Path, tmp_path: Path) -> None:
+def test_a_given_checkpoint_is_tested_instead_of_training(tiny_data: Path, tmp_path: Path) -> None:
     train(*HALVES, "split=4to4", f"source.outputs={tmp_path}", data=tiny_data)
     kept = tmp_path / "kept.ckpt"
     kept.write_bytes((tmp_path / f"balls/4to4/cophynet/full/ground_truth/{RUN}/checkpoints/best.ckpt").read_bytes())
@@ -67,15 +67,14 @@ def test_a_kept_checkpoint_is_tested_instead_of_training(tiny_data: Path, tmp_pa
     train(*elsewhere, data=tiny_data)  # its own it may replace
 
 
-def test_a_checkpoint_that_does_not_say_its_seed_is_not_tested(tiny_data: Path, tmp_path: Path) -> None:
+def test_a_checkpoint_that_does_not_state_its_seed_is_not_tested(tiny_data: Path, tmp_path: Path) -> None:
     train(*HALVES, "split=4to4", "model=in", f"hydra.run.dir={tmp_path}", data=tiny_data)
     best = tmp_path / "checkpoints" / "best.ckpt"
     saved = torch.load(best, weights_only=True)
     del saved["origin"]["seed"], saved["origin"]["trainer"]
     torch.save(saved, best)
-    given = (f"predictor={best}", f"hydra.run.dir={tmp_path}", "model=in")
+    given = (f"predictor={best}", f"hydra.run.dir={tmp_path / 'tested'}", "model=in")
     assert "does not state its seed" in train(*HALVES, *given, data=tiny_data, code=1)
-    assert json.loads((tmp_path / "metrics.json").read_text())["predictor"] is None  # what was there stays
 
 
 def test_a_training_on_half_of_the_data_takes_twice_the_epochs(tiny_data: Path, tmp_path: Path) -> None:
@@ -114,8 +113,8 @@ def test_a_failed_row_is_noted_and_the_others_run(tiny_data: Path, tmp_path: Pat
 
 
 @pytest.fixture
-def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[object, ...]:
-    """Arguments that choose a model of one's own, which needs a helper.py with its SCALE."""
+def users_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[object, ...]:
+    """Arguments that choose a model of the user, which imports SCALE from a helper.py beside it."""
     (tmp_path / "own.py").write_text(
         "from dataclasses import replace\n\nfrom torch import nn\nfrom cophy.models.baselines import CopyC\nfrom helper import SCALE\n\n"
         "class Own(CopyC):\n    def __init__(self):\n        super().__init__()\n        self.linear = nn.Linear(3, 3)\n\n"
@@ -128,18 +127,20 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[object, ...]:
     return "--config-dir", tmp_path / "conf", "model=own", "scenario=collision"
 
 
-def test_a_training_of_other_code_is_not_reused(tiny_data: Path, tmp_path: Path, own: tuple[object, ...]) -> None:
-    place = (*own, f"hydra.run.dir={tmp_path / 'run'}")
+def test_a_training_of_other_code_is_not_reused(
+    tiny_data: Path, tmp_path: Path, users_model: tuple[object, ...]
+) -> None:
+    place = (*users_model, f"hydra.run.dir={tmp_path / 'run'}")
     for scale, reused in ((1, False), (1, True), (2, False)):
         (tmp_path / "helper.py").write_text(f"SCALE = {scale}\n")
         assert ("already trained" in train(*place, data=tiny_data, apart=True)) == reused
 
 
 def test_a_model_that_crashes_in_a_sweep_leaves_its_traceback(
-    tiny_data: Path, tmp_path: Path, own: tuple[object, ...]
+    tiny_data: Path, tmp_path: Path, users_model: tuple[object, ...]
 ) -> None:
     (tmp_path / "helper.py").write_text("SCALE = 'large'\n")
-    train(*own, f"hydra.sweep.dir={tmp_path}", "hydra.mode=MULTIRUN", data=tiny_data, code=1, apart=True)
+    train(*users_model, f"hydra.sweep.dir={tmp_path}", "hydra.mode=MULTIRUN", data=tiny_data, code=1, apart=True)
     logged = next(tmp_path.glob("collision/**/train.log")).read_text()
     assert "own.py" in logged
     assert "TypeError" in logged

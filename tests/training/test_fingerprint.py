@@ -113,7 +113,7 @@ def test_a_finished_training_is_found_in_another_split(run: Run, tmp_path: Path)
     record_finished(run, "same", FACTS)
     other = make_run(tmp_path, "4to3")
     start = start_training(other, "same", reuse=True, ckpt=None)
-    assert start.finished == FACTS
+    assert start == (FACTS, run.checkpoints / "best.ckpt", 0)
     assert (other.checkpoints / "best.ckpt").read_text() == "weights"
     assert start_training(make_run(tmp_path, "4to5"), "another", reuse=True, ckpt=None).finished is None
     assert start_training(other, "same", reuse=False, ckpt=None).finished is None

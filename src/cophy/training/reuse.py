@@ -43,7 +43,7 @@ class Start(NamedTuple):
 
     Attributes:
         finished: Facts about an identical finished training, whose checkpoints are now this run's; None if there is none.
-        checkpoint: Where training resumes, or None.
+        checkpoint: Where training resumes, or the best checkpoint of the finished training; None for a new training.
         resumed: How often it was interrupted before.
     """
 
@@ -134,7 +134,7 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> 
     """
     if reuse and (checkpoints := _find_finished(run, wanted)) is not None:
         log.info("already trained on the same data with the same settings: %s (reuse=false trains again)", checkpoints)
-        return Start(_adopt(checkpoints, run), None, 0)
+        return Start(_adopt(checkpoints, run), checkpoints / "best.ckpt", 0)
     last, stopped = run.checkpoints / "last.ckpt", _read(run.checkpoints, BEGUN)
     if reuse and stopped.get("fingerprint") == wanted and _is_complete(run.checkpoints):
         log.info("continues where it stopped: %s (reuse=false trains again)", last)
