@@ -101,7 +101,7 @@ def test_a_checkpoint_of_another_training_and_weights_alone_are_refused(tiny_dat
     best = last.with_name("best.ckpt")
     assert best.stat().st_size < last.stat().st_size / 2
     printed = train("model.hidden_dim=8", f"ckpt={best}", f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
-    assert "holds weights alone, for tests and predictions: go on from the run's last.ckpt" in printed
+    assert "holds only weights, for tests and predictions: use the run's last.ckpt" in printed
 
 
 def test_generate_refuses_the_split_of_another_scenario(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     train(*sweep, "model=copy_c,copy_b", data=tiny_data)
     train(*sweep, "model.hidden_dim=8", "seed=7", data=tiny_data)
     printed = run("report", f"outputs={tmp_path}", f"data_dir={tiny_data}")
-    assert "model.hidden_dim=8" in printed  # a run of its own fills no table
+    assert "hidden_dim-8" in printed  # a run of its own fills no table
     assert "cophynet static_gating" in (tmp_path / "report" / "difficulty.md").read_text()
     markdown = (tmp_path / "report" / "tables.md").read_text()
     assert "— / 0.318" in markdown  # IN was not run

@@ -33,7 +33,7 @@ def test_all_runs_that_failed_are_listed_at_the_end(tiny_data: Path, tmp_path: P
     os.utime(note, (2**32, 2**32))
     failing = (f"hydra.sweep.dir={tmp_path}", "+row=copy_b,in", "positions=derendered,ground_truth")
     printed = train(*ROWS, *failing, data=tiny_data, code=1, apart=True).strip().splitlines()
-    assert printed[-3].endswith("train.py: 2 runs failed; the same command makes them again")
+    assert printed[-3].endswith("train.py: 2 runs failed; the same command runs them again")
     assert all("CophyError: no de-renderer of collision" in line for line in printed[-2:])
     assert len(list(tmp_path.rglob("metrics.json"))) == 2
     note.unlink()
