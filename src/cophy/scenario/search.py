@@ -131,5 +131,5 @@ class SimulatedSearch(Scenario):
         return bool(self.distance_from_origin(trajectory.positions).max() <= self.extent)
 
     def distance_from_origin(self, position: np.ndarray) -> np.ndarray:
-        """Return the (...) distances of (..., 3) positions from the origin for `extent`, metres: the larger of |x| and |y|."""
+        """Return the (...) distances of (..., 3) positions from the origin for `extent`, metres: the larger absolute value of x and y."""
         return np.asarray(np.abs(position[..., :2]).max(axis=-1))
