@@ -61,31 +61,6 @@ def tiny_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return once_per_session(tmp_path_factory, "tiny-data", generate)
 
 
-@pytest.fixture(scope="session")
-def trained_run(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory of a finished run of CoPhyNet on tiny collisions, one epoch with all its figures."""
-    from tests.commands import train
-
-    def make(directory: Path) -> None:
-        train("scenario=collision", "logger=tensorboard", f"hydra.run.dir={directory}", data=tiny_data)
-
-    return once_per_session(tmp_path_factory, "trained-run", make)
-
-
-@pytest.fixture(scope="session")
-def trained_derenderer(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory of a finished run of a small de-renderer on tiny collisions at 16 × 16."""
-    from tests.commands import train
-
-    network = ("model=derenderer", "model.resolution=16", "model.width=2", "model.readout=linear")
-    training = ("render.resolution=16", "num_images=200", "trainer.max_epochs=2", "logger=tensorboard")
-
-    def make(directory: Path) -> None:
-        train("scenario=collision", *network, *training, f"hydra.run.dir={directory}", data=tiny_data)
-
-    return once_per_session(tmp_path_factory, "trained-derenderer", make)
-
-
 def tiny_spec(name: str, num_objects: int | None = None, **size: Any) -> DatasetSpec:
     """The spec of a tiny dataset."""
     chosen = settings(

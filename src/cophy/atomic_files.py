@@ -13,15 +13,11 @@ from uuid import uuid4
 
 MACHINE = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 ABANDONED_S = 86400  # ours: what nobody wrote to for a day is taken to be left behind
-FULL = 1 << 20  # bytes; ours: with less left, what was not written is taken to be for want of space
+FULL = 1 << 20  # bytes; ours: with less free space, a failed write counts as a full disk
 
 
 def check_space(path: Path) -> None:
-    """Of a file that a library writes, which may cut it, or end the process, without a word.
-
-    Raises:
-        OSError: The disk is full.
-    """
+    """Raise OSError if the disk is full: HDF5 and OpenCV may truncate a file without an error."""
     if shutil.disk_usage(path.parent).free < FULL:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 

@@ -83,7 +83,7 @@ def write_picture_card(directory: Path, title: str, command: str, fields: Fields
     """Write the card.
 
     Args:
-        directory: Of the pictures.
+        directory: Directory of the images.
         title: What they are.
         command: What makes or repairs them.
         fields: Arrays of the first shard.
@@ -144,8 +144,8 @@ def croissant(spec: DatasetSpec, directory: Path, fields: Fields) -> str:
     """The metadata as JSON.
 
     Args:
-        spec: Of the dataset.
-        directory: Of the dataset, which is finished.
+        spec: Specification of the dataset.
+        directory: Directory of the finished dataset.
         fields: Arrays of its shards.
     """
     names = [f"shard-{shard:05d}.h5" for shard in range(spec.num_shards)]

@@ -60,11 +60,11 @@ def shuffled(dataset: Dataset, batch_size: int, *, seed: int, share: Share) -> E
     """Each item once an epoch; where devices share a run, a few twice, so that all get as many.
 
     Args:
-        dataset: Of the items.
+        dataset: Dataset of the items.
         batch_size: Items in a batch of all devices together.
         seed: The order follows from it and the epoch. PyTorch adds the two, so that seed 1 begins with the order that seed 0
             has in its second epoch; their weights begin differently.
-        share: Of this device.
+        share: Share of this device.
     """
     if batch_size % share.devices:
         raise CophyError(
@@ -82,7 +82,7 @@ def in_order(groups: np.ndarray, batch_size: int, share: Share) -> list[list[int
     Args:
         groups: (item,) equal for items that stay in one batch, such as twins; these follow each other.
         batch_size: About as many items are in a batch.
-        share: Of this device.
+        share: Share of this device.
 
     Raises:
         CophyError: There are fewer groups than devices.
@@ -115,8 +115,8 @@ class CounterfactualDataset(Dataset[Batch]):
 
         Args:
             batch_size: Experiments in a batch of all devices together.
-            seed: Of the training.
-            share: Of this device.
+            seed: Seed of the training.
+            share: Share of this device.
         """
         batches = shuffled(self, batch_size, seed=seed, share=share)
         return DataLoader(self, sampler=batches, batch_size=None)
@@ -126,7 +126,7 @@ class CounterfactualDataset(Dataset[Batch]):
 
         Args:
             batch_size: About as many experiments are in a batch.
-            share: Of this device.
+            share: Share of this device.
         """
         batches = in_order(self.batch.targets.pair.numpy(), batch_size, share)
         return DataLoader(self, sampler=batches, batch_size=None)
@@ -164,7 +164,7 @@ class CounterfactualDataModule(L.LightningDataModule):
             test_set: The experiments of which some are tested on; may be the same.
             batch_size: Experiments in a batch, of all devices together.
             workers: Processes that make missing data.
-            seed: Of the training: the order of the training experiments follows from it and the epoch.
+            seed: Seed of the training: the order of the training experiments follows from it and the epoch.
             derenderer: Whose estimates of AB and C are seen instead of true positions, or None.
             estimated: Names of the splits of which only the estimates are seen.
             declared: Which optional inputs the model is given; None for none of them.

@@ -67,7 +67,7 @@ class ChosenFrames(NeededFrames):
 
     Attributes:
         frames: Experiment, sequence and time of each.
-        keys: Of the training that looks at them.
+        keys: Command-line keys of the training that reads them.
     """
 
     frames: tuple[tuple[int, int, int], ...] = ()

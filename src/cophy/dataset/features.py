@@ -173,7 +173,7 @@ def standardised(
     Args:
         features: See `confounder_features`.
         presence: Which slots hold an object in AB.
-        statistics: Of the training set, see `confounder_statistics`.
+        statistics: Statistics of the training set, see `confounder_statistics`.
     """
     mean, deviation = statistics
     return (features - mean) / deviation * presence[..., None]

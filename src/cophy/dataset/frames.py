@@ -152,7 +152,7 @@ class FrameDataModule(L.LightningDataModule):
             data_seed: Says which frames are chosen.
             batch_size: Frames in a batch, of all devices together.
             workers: Processes that make missing data, and that read frames.
-            seed: Of the training: the order of the training frames follows from it and the epoch.
+            seed: Seed of the training: the order of the training frames follows from it and the epoch.
         """
         super().__init__()
         self.sets, self.scenario = sets, sets[0].spec.scenario

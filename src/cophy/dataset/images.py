@@ -65,7 +65,7 @@ class Images(ShardSet):
 
     @property
     def name(self) -> str:
-        """Of its directory: modalities, resolution and renderer."""
+        """Return the name of its directory: modalities, resolution and renderer."""
         return self.directory.name
 
     def ensure(self, *, workers: int) -> None:

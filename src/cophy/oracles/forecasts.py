@@ -114,9 +114,9 @@ class OracleForecasts(ShardSet):
         return {"dataset": self.spec.id, "version": VERSION, **self.content}
 
     def _of_pair(self, pair: int, observed: np.ndarray, simulator: CachingSimulator) -> Iterator[dict[str, Hypotheses]]:
-        """Of both twins, by oracle. Twins share what depends on nothing but A, C, the do-operation and initial velocities.
+        """Yield the hypotheses of both twins, by oracle; twins share those given only A, C, the do-operation and velocities.
 
-        Both are made again, because rounding them to what is stored would change how some towers fall.
+        Both twins are simulated again, because rounding them to what is stored would change how some towers fall.
 
         Args:
             pair: Index of the twin pair in the dataset.
@@ -137,7 +137,7 @@ class OracleForecasts(ShardSet):
             return resample(scenario, scene, do_operation, draws=settings.draws, rng=rng, simulator=simulator, **known)
 
         alike = resampled(0, pair)
-        at_rest = scene == scene.at_rest()  # then nobody has to be told how A moves
+        at_rest = scene == scene.at_rest()  # then the initial velocity is known anyway
         moving = alike if at_rest else resampled(1, pair, velocity_known=True)
         for number, (twin, seen) in enumerate(zip(twins, observed, strict=True)):
             index = 2 * pair + number

@@ -55,7 +55,7 @@ class Supplement:
         participants: Numbers of human participants for the paper's tables: scenario, split, setting, metric, ours, sd, low,
             high.
         tables: Title -> table of text.
-        caption: Of these tables.
+        caption: Caption of these tables.
         figures: By name.
     """
 

@@ -1,4 +1,4 @@
-"""The end of a run in the terminal: its test MSE beside the copies, the paper's number and the oracles'."""
+"""Print the results of a run: its test MSE next to copy baselines, the paper's number and the oracles."""
 
 import json
 from collections.abc import Iterator
@@ -26,10 +26,10 @@ IN_PERCENT = {
 
 
 def show_results(run: Run, metric_dims: int) -> None:
-    """Print a small table of what the run's metrics.json says, and where it lies.
+    """Print a small table of the run's metrics.json, and its path.
 
     Args:
-        run: Finished.
+        run: A finished run.
         metric_dims: Coordinates that count for the MSE.
     """
     content = json.loads((run.directory / METRICS).read_bytes())
@@ -62,7 +62,7 @@ def _lines(run: Run, content: dict[str, Any], metric_dims: int) -> Iterator[tupl
 
 
 def _share(run: Run, content: dict[str, Any], metric_dims: int) -> str | None:
-    """Of what AB adds to the best that is possible without it; None where not both oracles' runs are there."""
+    """Return the share of the possible gain as text, or None unless both oracles have a run of the same test split."""
     if run.root is None or run.positions != "ground_truth" or run.model.startswith(("oracle", "derenderer")):
         return None
     oracles = [_oracle(run.root / run.scenario / run.split / name, content) for name in ORACLES]

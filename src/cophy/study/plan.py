@@ -24,7 +24,7 @@ class StudySettings:
     """Settings that all participants of a study share; conf/study.yaml explains the values.
 
     Attributes:
-        seed: Of the plan.
+        seed: Seed of the plan.
         num_pairs: Twin pairs of the test split that are shown.
         num_assignments: Tasks of each setting per participant.
         seconds: Time to click.

@@ -322,7 +322,7 @@ def check_resumable(ckpt: Path, origin: dict[str, Any], network: nn.Module) -> N
 
     Args:
         ckpt: The checkpoint.
-        origin: Of the training that continues.
+        origin: Origin of the training that continues.
         network: Its network.
 
     Raises:
@@ -344,7 +344,7 @@ def check_trained(predictor: Path, origin: dict[str, Any], network: nn.Module) -
 
     Args:
         predictor: The checkpoint to test instead of training.
-        origin: Of that training.
+        origin: Origin of that training.
         network: Its network.
 
     Raises:

@@ -333,8 +333,8 @@ def evaluate(prediction: Prediction, targets: Targets, scenario: Scenario) -> di
     """Judge the predictions of a test split.
 
     Args:
-        prediction: Of all its experiments.
-        targets: Of the same experiments.
+        prediction: Predictions for all experiments.
+        targets: Targets of the same experiments.
         scenario: Says which coordinates count, and through which camera pixels are measured.
 
     Returns:

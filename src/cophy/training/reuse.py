@@ -108,7 +108,7 @@ def fingerprint(
         trainer: Arguments of `lightning.Trainer`.
         threads: Threads of torch.
         code: See `hash_code`.
-        checksums: Of the training data.
+        checksums: Checksums of the training data.
         resumed_from: The checkpoint of another training that this one starts from.
     """
     content = {

@@ -70,7 +70,7 @@ def make_trainer(
         origin: The configuration that every checkpoint stores.
         figures: Callback that draws validation examples.
         loggers: `_target_` and arguments of each logger (conf/logger).
-        arguments: Of `lightning.Trainer` (conf/trainer).
+        arguments: Arguments of `lightning.Trainer` (conf/trainer).
 
     Raises:
         CophyError: A logger or callback cannot be built, or Lightning refuses an argument.
