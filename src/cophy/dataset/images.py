@@ -16,7 +16,7 @@ import numpy as np
 from cophy.dataset import generation
 from cophy.dataset.cards import write_picture_card
 from cophy.dataset.experiment_set import ALL, Clip, ExperimentSet, NeededFrames, Pictures, Reader
-from cophy.dataset.shards import Field, Fields, ShardSet, creating
+from cophy.dataset.shards import Field, Fields, ShardSet, creating, open_for_reading
 from cophy.scenario.rendering import MODALITIES, NO_OBJECT, Frames, Renderer, RenderSettings
 
 Read = TypeVar("Read")
@@ -115,7 +115,7 @@ class Images(ShardSet):
             with self.explained(shard):
                 if shard not in opened:
                     self.check(self.path(shard), shard)
-                    opened[shard] = h5py.File(self.path(shard), "r", locking=False)
+                    opened[shard] = open_for_reading(self.path(shard))
                 return part(opened[shard], place)
 
         return read

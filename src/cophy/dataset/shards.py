@@ -127,16 +127,29 @@ def reading(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterat
         yield {name: _array_in(file, name, field) for name, field in fields.items()}
 
 
+def open_for_reading(path: Path) -> h5py.File:
+    """Open an HDF5 file, without a lock if the file system has none or the process has the file open without one.
+
+    A process can open a file only with one kind of locking. Users who open a shard with h5py have its default, so that comes
+    first.
+    """
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        if error.errno is None and "locking" not in str(error):
+            raise
+        return h5py.File(path, "r", locking=False)
+
+
 @contextmanager
 def _open_hdf5(path: Path) -> Iterator[h5py.File]:
     """Open a file for reading; errors that HDF5 finds in it become DamagedShardError.
 
-    Errors of the operating system have an `errno` and pass through: a file must not be replaced because of them. The file
-    is not locked, because shards appear whole, and some file systems have no locks.
+    Errors of the operating system have an `errno` and pass through: a file must not be replaced because of them.
     """
     check_plain(path)
     try:
-        with h5py.File(path, "r", locking=False) as file:
+        with open_for_reading(path) as file:
             yield file
     except (OSError, KeyError, RuntimeError) as error:
         if isinstance(error, OSError) and error.errno is not None:

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from cophy.dataset.shards import DamagedShardError, Field, attribute, creating, encode, reading
+from cophy.dataset.shards import DamagedShardError, Field, attribute, creating, encode, open_for_reading, reading
 
 FIELDS = {"mass": Field((2, 4), "<f4"), "cell": Field((2,), "|u1")}
 UNKNOWN = h5py.h5t.UNIX_D32LE  # a type that NumPy does not have
@@ -108,3 +108,12 @@ def test_a_file_that_is_no_hdf5_is_damage(tmp_path: Path, content: bytes) -> Non
     path.write_bytes(content)
     with pytest.raises(DamagedShardError), reading(path, FIELDS, {}):
         pass
+
+
+@pytest.mark.parametrize("locking", [None, False])
+def test_a_file_that_its_user_has_open_with_h5py_is_read(tmp_path: Path, locking: bool | None) -> None:
+    path = tmp_path / "shard.h5"
+    with h5py.File(path, "w") as file:
+        file["mass"] = np.arange(3)
+    with h5py.File(path, "r", locking=locking), open_for_reading(path) as file:
+        np.testing.assert_array_equal(file["mass"], np.arange(3))
