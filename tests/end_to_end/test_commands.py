@@ -126,7 +126,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     drawn |= {"difficulty-blocktower-3to3-tiny", "stability_distribution-tiny"}
     assert {f"{name}.{kind}" for name in drawn for kind in ("png", "pdf")} <= names
     (tmp_path / "empty").mkdir()
-    assert "there are no runs to report" in run("report", f"outputs={tmp_path / 'empty'}", code=1)
+    assert "there are no runs; train.py writes them" in run("report", f"outputs={tmp_path / 'empty'}", code=1)
     assert not list((tmp_path / "empty").iterdir())
     printed = run("report", f"outputs={tmp_path}", f"directory={tmp_path}/elsewhere", "data_dir=nowhere")
     assert "nowhere/blocktower/3-tiny-" in printed

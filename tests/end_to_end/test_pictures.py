@@ -75,4 +75,4 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     swapped = run("predict", *files, f"derenderer={checkpoints['predictor']}", given[1], code=1)
     assert "not of a de-renderer" in swapped
     short = run("predict", files[1], f"observed={look / 'CD' / '00.png'}", *given, code=1)
-    assert "AB has 1 frames; the predictor knows 15" in short
+    assert "AB has 1 frames; the predictor needs 15" in short

@@ -54,7 +54,7 @@ def test_npe_sees_only_objects_within_its_radius(inputs: Inputs) -> None:
         ({"node_layers": 0}, "model.node_layers=0 must be at least 1"),
         ({"hidden_dim": 0}, "model.hidden_dim=0 must be at least 1"),
         ({"radius": 0.0}, r"model.radius=0\.0 must be positive"),
-        ({"confounders": "estimated"}, "model.confounders=estimated must be ground_truth or null"),
+        ({"confounders": "estimated"}, "model.confounders=estimated must be one of ground_truth"),
     ],
 )
 def test_arguments_out_of_range_are_refused(arguments: dict, message: str) -> None:
