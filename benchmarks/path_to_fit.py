@@ -1,4 +1,4 @@
-"""The way from the command line to Trainer.fit: functions, lines and files of cophy, and compositions of configurations.
+"""The way from the command line to Trainer.fit: functions, code lines and files of cophy, and compositions of configurations.
 
 Runs `train.py scenario=collision size=tiny` under a profile hook until Lightning's Trainer.fit is called. Functions of
 scenario/, dataset/ and models/ are left out: they are called on the way, but are not the way.
@@ -6,12 +6,14 @@ scenario/, dataset/ and models/ are left out: they are called on the way, but ar
     python benchmarks/path_to_fit.py data_dir=data
 """
 
+import ast
 import inspect
 import os
 import runpy
 import sys
 import tempfile
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -84,10 +86,31 @@ def outermost(codes: Any) -> list[CodeType]:
 
 
 def num_lines(code: CodeType) -> int:
-    """Return the lines of a function with its body, from the first to the last."""
-    last = max((line for *_, line in code.co_lines() if line), default=code.co_firstlineno)
-    inner = [num_lines(each) + each.co_firstlineno - 1 for each in code.co_consts if isinstance(each, CodeType)]
-    return max([last, *inner]) - code.co_firstlineno + 1
+    """Return the code lines of a function: without docstrings, imports, comments and blank lines."""
+    first, last = code.co_firstlineno, last_line(code)
+    lines = enumerate(Path(code.co_filename).read_text().splitlines(), 1)
+    skipped = lines_without_code(code.co_filename)
+    return sum(
+        first <= number <= last and number not in skipped and line.strip()[:1] not in ("", "#")
+        for number, line in lines
+    )
+
+
+def last_line(code: CodeType) -> int:
+    """Return the last line of a function, with the functions inside it."""
+    inner = [last_line(each) for each in code.co_consts if isinstance(each, CodeType)]
+    return max([code.co_firstlineno, *(line for *_, line in code.co_lines() if line), *inner])
+
+
+@cache
+def lines_without_code(file: str) -> set[int]:
+    """Return the lines of docstrings and imports of a file."""
+    nodes: list[ast.AST] = []
+    for node in ast.walk(ast.parse(Path(file).read_text())):
+        is_docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if is_docstring or isinstance(node, ast.Import | ast.ImportFrom):
+            nodes.append(node)
+    return {line for node in nodes for line in range(node.lineno, node.end_lineno + 1)}  # type: ignore[attr-defined]
 
 
 if __name__ == "__main__":

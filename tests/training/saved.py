@@ -21,7 +21,7 @@ NONSENSE: list[tuple[dict[str, Any], str]] = [
 
 def saved(path: Path, model: dict[str, Any], weights: dict[Any, Any], /, **changes: Any) -> Path:
     """Write a checkpoint of this model."""
-    origin = make_origin(to_plain(composed("train", "scenario=balls")), trained_on=[[]], without=set())
+    origin = make_origin(to_plain(composed("train", "scenario=balls")), trained_on=[[]])
     network = {f"network.{key}": value for key, value in weights.items()}
     torch.save({"origin": origin | {"model": model} | changes, "state_dict": network}, path)
     return path

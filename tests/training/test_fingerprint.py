@@ -7,32 +7,34 @@ from typing import Any
 
 import pytest
 
-import cophy.commands.train  # noqa: F401  # what the command imports
 from cophy.config import composed, to_plain
-from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.errors import CophyError
-from cophy.models.cophynet import CoPhyNet
+from cophy.models.baselines import CopyC
 from cophy.training import reuse
 from cophy.training.checkpoints import make_origin
-from cophy.training.predictor import PredictionModule
-from cophy.training.reuse import fingerprint, hash_code, imported_files, record_finished, start_training
+from cophy.training.reuse import fingerprint, hash_code, record_finished, start_training
 from cophy.training.run import Run
 
 PLAIN = to_plain(composed("train"))
-ORIGIN = make_origin(PLAIN, ["3-tiny"], without=reuse.WITHOUT_EFFECT)
 CHECKSUMS = {"3-tiny": {"0.h5": "abc"}}
-MODULES = {each.__module__ for each in (PredictionModule, CounterfactualDataModule, CoPhyNet)}
+
+
+def origin_of(**trainer: Any) -> dict[str, Any]:
+    return make_origin(PLAIN | {"trainer": PLAIN["trainer"] | trainer}, ["3-tiny"])
+
+
+ORIGIN = origin_of()
 
 
 def fingerprint_of(
-    origin: dict[str, Any] = ORIGIN, code: str = "code", checksums: Any = CHECKSUMS, **trainer: Any
+    origin: dict[str, Any] = ORIGIN, code: str = "code", checksums: Any = CHECKSUMS, max_epochs: int = 40
 ) -> str:
-    return fingerprint(origin, trainer=PLAIN["trainer"] | trainer, threads=1, code=code, checksums=checksums)
+    return fingerprint(origin, max_epochs=max_epochs, threads=1, code=code, checksums=checksums)
 
 
 @pytest.mark.parametrize("changes", [{"enable_progress_bar": False}, {"limit_test_batches": 1}])
 def test_what_changes_no_weight_does_not_count(changes: dict[str, Any]) -> None:
-    assert fingerprint_of(**changes) == fingerprint_of()
+    assert fingerprint_of(origin_of(**changes)) == fingerprint_of()
     assert fingerprint_of(ORIGIN | {"split": {"name": "3to4"}}) == fingerprint_of()  # only tested on
 
 
@@ -49,35 +51,25 @@ def test_what_changes_weights_counts() -> None:
     assert len({fingerprint_of(), *others}) == 8
 
 
-def test_training_imports_models_data_and_losses_but_no_reports() -> None:
-    names = {path.relative_to(reuse.PACKAGE).with_suffix("").as_posix() for path in imported_files(MODULES)}
-    assert names >= {"models/cophynet", "models/layers", "training/losses", "training/augmentation"}
-    assert names >= {"dataset/datamodules", "dataset/features", "dataset/splits", "scenario/scenario", "types"}
-    assert {name.split("/")[0] for name in names} <= {
-        *("scenario", "dataset", "models", "training"),
-        *("types", "errors", "atomic_files", "bootstrap", "workers", "untrusted_files", "__init__"),
-    }
-    assert not names & {"training/figures", "training/trainer", "training/reuse", "models/alongside"}
-
-
 @pytest.mark.parametrize(
     ("name", "counts"),
-    [("training/losses.py", True), ("models/cophynet.py", True), ("study/server.py", False), ("cli.py", False)],
+    [
+        *(("training/losses.py", True), ("models/cophynet.py", True), ("dataset/splits.py", True), ("types.py", True)),
+        *(("study/server.py", False), ("drawing/tensorboard.py", False), ("cli.py", False)),
+    ],
 )
-def test_an_edit_counts_only_where_training_imports_it(
+def test_an_edit_counts_only_where_weights_depend_on_it(
     name: str, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def code() -> str:
-        return hash_code(*(object.__new__(each) for each in (PredictionModule, CounterfactualDataModule, CoPhyNet)))
-
-    before, read = code(), Path.read_bytes
+    network = CopyC()
+    before, read = hash_code(network), Path.read_bytes
     edited = reuse.PACKAGE / name
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"\n# edited" if path == edited else b""))
     assert edited.is_file()
-    assert (code() != before) == counts
+    assert (hash_code(network) != before) == counts
 
 
-def test_modules_beside_a_model_of_the_user_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modules_next_to_a_model_of_the_user_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "users_model.py").write_text("class Net: ...\n")
     (tmp_path / "helper.py").write_text("SCALE = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -113,18 +105,20 @@ def test_a_finished_training_is_found_in_another_split(run: Run, tmp_path: Path)
     record_finished(run, "same", FACTS)
     other = make_run(tmp_path, "4to3")
     start = start_training(other, "same", reuse=True, ckpt=None)
-    assert start == (FACTS, run.checkpoints / "best.ckpt", 0)
+    assert start == (FACTS, other.checkpoints / "best.ckpt", 0, False)
     assert (other.checkpoints / "best.ckpt").read_text() == "weights"
     assert start_training(make_run(tmp_path, "4to5"), "another", reuse=True, ckpt=None).finished is None
     assert start_training(other, "same", reuse=False, ckpt=None).finished is None
 
 
 def test_an_interrupted_training_continues_only_with_the_same_fingerprint(run: Run) -> None:
-    assert start_training(run, "same", reuse=True, ckpt=None) == (None, None, 0)
+    assert start_training(run, "same", reuse=True, ckpt=None) == (None, None, 0, False)
     for resumed in (1, 2):
         leave_checkpoints(run)
-        assert start_training(run, "same", reuse=True, ckpt=None) == (None, run.checkpoints / "last.ckpt", resumed)
-    assert start_training(run, "another", reuse=True, ckpt=None) == (None, None, 0)
+        assert start_training(run, "same", reuse=True, ckpt=None) == (
+            *(None, run.checkpoints / "last.ckpt", resumed, True),
+        )
+    assert start_training(run, "another", reuse=True, ckpt=None) == (None, None, 0, False)
     assert (run.checkpoints / "last_of_stopped.ckpt").read_text() == "weights"  # hours of work, perhaps
 
 

@@ -12,6 +12,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from cophy import cli
+from cophy.atomic_files import sha256
 from cophy.config import experiments_of, to_config, to_plain, variant
 from cophy.dataset.source import GENERATED
 from cophy.errors import CophyError
@@ -25,6 +26,7 @@ if TYPE_CHECKING:  # --help must not import torch and Lightning, which takes sec
     from cophy.dataset.datamodules import CounterfactualDataModule
     from cophy.dataset.frames import FrameDataModule
     from cophy.training import DerenderingModule, PredictionModule
+    from cophy.training.reuse import Start
     from cophy.training.trained import TrainedDerenderer
 
 log = logging.getLogger(__name__)
@@ -83,127 +85,124 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     import lightning as L
     import torch
 
-    from cophy.atomic_files import sha256
-    from cophy.training import reuse
-    from cophy.training.checkpoints import build_network, check_resumable, check_trained, make_origin
-    from cophy.training.trainer import finishing, log_results, make_trainer, start_processes
+    from cophy.training.checkpoints import build_network, make_origin
+    from cophy.training.reuse import fingerprint, hash_code, record_finished
+    from cophy.training.trainer import finishing, fit, log_results, make_trainer, prepare_loggers, start_processes
 
-    start = time.monotonic()
+    start_time = time.monotonic()
     if not is_first():  # the first process writes the log
         logging.getLogger("cophy").setLevel(logging.WARNING)
     torch.set_num_threads(config.threads)
     L.seed_everything(config.seed, workers=True, verbose=False)
 
     network = build_network(plain["model"])
-    module = make_module(network, config, run)
+    module = make_module(network, config)
     data = make_datamodule(config, plain["model"], run, network)
-    origin = make_origin(plain, data.trained_on, without=reuse.WITHOUT_EFFECT)
+    origin = make_origin(plain, data.trained_on)
+    check_checkpoints(config, origin, network)
     arguments = plain["trainer"] | {"max_epochs": num_epochs(config, network)}
     figures = module.make_figures(config.figures_every_n_epochs)
     trainer = make_trainer(run, origin, figures, loggers=config.logger, arguments=arguments)
-    if config.ckpt is not None:
-        check_resumable(Path(config.ckpt), origin, network)
-    if config.predictor is not None:
-        check_trained(Path(config.predictor), origin, network)
+    code = hash_code(network)
 
-    code = reuse.hash_code(module, data, network)
     with finishing(trainer.loggers):
         data.prepare_data()
         data.setup()
         start_processes(trainer, module)
+        training = fingerprint(
+            origin,
+            max_epochs=arguments["max_epochs"],
+            threads=config.threads,
+            code=code,
+            checksums=data.training_checksums(),
+            resumed_from=path_of(config.ckpt),
+        )
         if not config.trainer.fast_dev_run:
             run.begin()
-        facts, checkpoint = fit_or_reuse(trainer, module, data, run, origin, arguments, config, code)
-        trainer.test(module, data, ckpt_path=checkpoint, weights_only=True, verbose=False)
+        start = find_start(config, run, training, trainer, network)
+        trains = start.finished is None
+        prepare_loggers(trainer, run, origin, arguments, keeps_curves=start.keeps_curves, trains=trains)
+
+        if start.finished is None:
+            facts = fit(trainer, module, data, start.checkpoint) | {"resumed": start.resumed}
+            best = None if config.trainer.fast_dev_run else run.checkpoints / "best.ckpt"
+            if best is not None and is_first():
+                record_finished(run, training, facts)
+        else:
+            facts, best = start.finished, start.checkpoint
+            validation = trainer.validate(module, data, ckpt_path=best, weights_only=True, verbose=False)
+            if config.predictor is not None:
+                facts["validation"] = dict(*validation)
+        trainer.test(module, data, ckpt_path=best, weights_only=True, verbose=False)
+
         if config.trainer.fast_dev_run:
             return {}
         if is_first():
             results = module.results(data)
+            derenderer, predictor = getattr(data, "derenderer", None), path_of(config.predictor)
             facts |= {
                 "dataset_ids": data.dataset_ids,
-                "derenderer": derenderer.name if (derenderer := getattr(data, "derenderer", None)) else None,
-                "predictor": None if config.predictor is None else sha256(Path(config.predictor))[:8],
+                "derenderer": derenderer.name if derenderer else None,
+                "predictor": sha256(predictor)[:8] if predictor else None,
                 "num_train": len(data.train),
                 "num_test": len(results.pairs),
                 "max_epochs": arguments["max_epochs"],
-                "wall_seconds": round(time.monotonic() - start, 1),
+                "wall_seconds": round(time.monotonic() - start_time, 1),
             }
             log_results(trainer, run.write_results(results, facts))
     return facts["validation"]
 
 
-def fit_or_reuse(
-    trainer: "Trainer",
-    module: "PredictionModule | DerenderingModule",
-    data: "CounterfactualDataModule | FrameDataModule",
-    run: Run,
-    origin: dict[str, Any],
-    arguments: dict[str, Any],
-    config: TrainConfig,
-    code: str,
-) -> tuple[dict[str, Any], Path | None]:
-    """Train, or use the checkpoint of an identical finished training or of predictor=.
+def find_start(config: TrainConfig, run: Run, training: str, trainer: "Trainer", network: "nn.Module") -> "Start":
+    """Decide whether a run trains, resumes, or only tests: a model without parameters, predictor=, a finished training.
 
-    Returns:
-        Facts for metrics.json (training_seconds, resumed, validation), and the checkpoint to test, None for the weights as
-        they are.
+    Args:
+        config: The configuration.
+        run: The run.
+        training: Fingerprint of its training.
+        trainer: Its first process decides for all.
+        network: The model.
     """
-    from cophy.training import reuse
-    from cophy.training.trainer import decide_first, fit, log_names, remove_earlier_curves, select_loggers, was_requeued
+    from cophy.training.reuse import Start, start_training
+    from cophy.training.trainer import decide_first, was_requeued
 
-    ckpt, predictor = (None if name is None else Path(name) for name in (config.ckpt, config.predictor))
-    is_trial, facts = config.trainer.fast_dev_run, {"training_seconds": 0.0, "resumed": 0, "validation": {}}
-    wanted = reuse.fingerprint(
-        origin,
-        trainer=arguments,
-        threads=config.threads,
-        code=code,
-        checksums=training_checksums(data),
-        resumed_from=ckpt,
-    )
-    if predictor is not None or not is_trainable(module.network):
-        start = reuse.Start(facts, predictor, 0)
-    elif is_trial:
-        start = reuse.Start(None, ckpt, 0)
-    else:
-        find = config.reuse or was_requeued()
-        start = decide_first(trainer, lambda: reuse.start_training(run, wanted, reuse=find, ckpt=ckpt))
+    if config.predictor is not None or not is_trainable(network):
+        return Start({"training_seconds": 0.0, "resumed": 0, "validation": {}}, path_of(config.predictor))
+    if config.trainer.fast_dev_run:
+        return Start(None, path_of(config.ckpt), keeps_curves=True)
+    reuse = config.reuse or was_requeued()
+    return decide_first(trainer, lambda: start_training(run, training, reuse=reuse, ckpt=path_of(config.ckpt)))
 
-    if start.finished is None:
-        if not start.resumed:
-            remove_earlier_curves(trainer)
-        log_names(trainer, run, origin, arguments)
-        facts = fit(trainer, module, data, start.checkpoint) | {"resumed": start.resumed}
-        if is_trial:
-            return facts, None
-        if is_first():
-            reuse.record_finished(run, wanted, facts)
-        return facts, run.checkpoints / "best.ckpt"
 
-    if start.checkpoint is None or start.checkpoint.parent.resolve() != run.checkpoints.resolve():
-        remove_earlier_curves(trainer)
-    select_loggers(trainer)
-    log_names(trainer, run, origin, arguments)
-    validation = trainer.validate(module, data, ckpt_path=start.checkpoint, weights_only=True, verbose=False)
+def check_checkpoints(config: TrainConfig, origin: dict[str, Any], network: "nn.Module") -> None:
+    """Refuse a checkpoint given as ckpt= or predictor= that does not fit the model or its training."""
+    from cophy.models.derenderer import Derenderer
+    from cophy.training.checkpoints import check_resumable, check_trained
+
+    ckpt, predictor = path_of(config.ckpt), path_of(config.predictor)
+    given = {"ckpt": ckpt, "predictor": predictor, "trainer.fast_dev_run": config.trainer.fast_dev_run or None}
+    for key, value in given.items():
+        if value is not None and not is_trainable(network):
+            raise CophyError(f"{key}={value}: {origin['model']['_target_']} has nothing to train")
+    if predictor is not None and isinstance(network, Derenderer):
+        raise CophyError(f"predictor={predictor}: a de-renderer predicts nothing")
+    if ckpt is not None:
+        check_resumable(ckpt, origin, network)
     if predictor is not None:
-        facts["validation"] = {name: value for metrics in validation for name, value in metrics.items()}
-    return facts | start.finished, start.checkpoint
+        check_trained(predictor, origin, network)
 
 
-def make_module(network: "nn.Module", config: TrainConfig, run: Run) -> "PredictionModule | DerenderingModule":
+def path_of(value: str | None) -> Path | None:
+    """Return the path that a key names, or None."""
+    return None if value is None else Path(value)
+
+
+def make_module(network: "nn.Module", config: TrainConfig) -> "PredictionModule | DerenderingModule":
     """Wrap a network in the Lightning module that trains and tests it; an oracle names its own."""
     from cophy.models.derenderer import Derenderer
     from cophy.training import DerenderingModule, PredictionModule
 
-    if not is_trainable(network):
-        for key, value in (("ckpt", config.ckpt), ("predictor", config.predictor)):
-            if value is not None:
-                raise CophyError(f"{key}={value}: {run.model} has nothing to train or to restore")
-        if config.trainer.fast_dev_run:
-            raise CophyError(f"trainer.fast_dev_run: {run.model} has nothing to train")
     if isinstance(network, Derenderer):
-        if config.predictor is not None:
-            raise CophyError(f"predictor={config.predictor}: {run.model} predicts nothing")
         return DerenderingModule(network, config.training)
     module_class = getattr(network, "module_class", PredictionModule)
     return module_class(network, config.training, config.scenario, seed=config.seed)
@@ -287,13 +286,3 @@ def find_derenderer_of(config: TrainConfig, run: Run) -> "TrainedDerenderer":
         raise CophyError(f"positions={config.positions}: name the checkpoint of a de-renderer with derenderer=")
     derenderer.check(experiments_of(config, None))
     return derenderer
-
-
-def training_checksums(data: "CounterfactualDataModule | FrameDataModule") -> dict[str, Any]:
-    """Return the checksums of the shards that training reads."""
-    from cophy.dataset.datamodules import CounterfactualDataModule
-
-    if isinstance(data, CounterfactualDataModule):
-        return {data.train_set.id: data.train_set.checksums()}
-    states = {experiments.id: experiments.checksums() for experiments in data.sets}
-    return states | {images.name: images.checksums() for images, _ in data.train.sources}

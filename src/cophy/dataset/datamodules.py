@@ -192,6 +192,10 @@ class CounterfactualDataModule(L.LightningDataModule):
         task = {key: value for key, value in asdict(self.scenario.task).items() if key != "splits"}  # names, no data
         return [self.train_set.id, asdict(self.split.train), task, seen]
 
+    def training_checksums(self) -> dict[str, Any]:
+        """Return the checksums of the shards that training reads."""
+        return {self.train_set.id: self.train_set.checksums()}
+
     @property
     def mean_position(self) -> Float[Tensor, "3"]:
         """Mean true position of the objects in C over the training split, metres."""

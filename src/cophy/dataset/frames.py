@@ -170,6 +170,11 @@ class FrameDataModule(L.LightningDataModule):
         names = [experiments.frames(self.render).name for experiments in self.sets]
         return [self.dataset_ids, names, self.num_images, self.data_seed]
 
+    def training_checksums(self) -> dict[str, Any]:
+        """Return the checksums of the shards that training reads."""
+        states = {experiments.id: experiments.checksums() for experiments in self.sets}
+        return states | {images.name: images.checksums() for images, _ in self.train.sources}
+
     def prepare_data(self) -> None:
         """Generate and render what is missing."""
         for experiments in self.sets:

@@ -8,9 +8,9 @@ from torch import nn
 
 from cophy.dataset import generation
 from cophy.dataset.datamodules import CounterfactualDataModule
+from cophy.drawing.tensorboard import NUM_DRAWN, DrawnPredictions
 from cophy.errors import CophyError
 from cophy.oracles.forecasts import ORACLES, OracleSettings, oracle_forecasts
-from cophy.training.figures import NUM_DRAWN, DrawnPredictions
 from cophy.training.predictor import PredictionModule
 from cophy.types import Batch, Prediction, take
 

@@ -53,6 +53,10 @@ MAY_CHANGE = {
     *("trainer.max_epochs", "trainer.max_time", "split.epochs_factor", "trainer.fast_dev_run"),
     *("trainer.limit_val_batches", "trainer.check_val_every_n_epoch"),
 }
+NOT_STORED = {  # keys of `trainer` that change no weight
+    *("enable_progress_bar", "enable_model_summary", "log_every_n_steps", "limit_test_batches", "profiler"),
+    *("accelerator", "devices", "num_nodes", "strategy"),  # they only change rounding
+}
 GROUPS = ("scenario", "size")  # named in messages by their choice instead of each key
 MAX_NAMED = 3  # settings in a message
 
@@ -102,15 +106,14 @@ class WholeCheckpoints(CheckpointIO):
             path.unlink(missing_ok=True)
 
 
-def make_origin(config: Mapping[str, Any], trained_on: list[Any], without: set[str]) -> dict[str, Any]:
+def make_origin(config: Mapping[str, Any], trained_on: list[Any]) -> dict[str, Any]:
     """Return what every checkpoint stores about its training.
 
     Args:
         config: The resolved configuration of train.py as plain values.
         trained_on: Everything that the training batches are a function of, as the datamodule states it.
-        without: Keys of `trainer` to leave out.
     """
-    trainer = {key: value for key, value in config["trainer"].items() if key not in without}
+    trainer = {key: value for key, value in config["trainer"].items() if key not in NOT_STORED}
     keys = [key for key in KEYS if key not in ("trainer", "trained_on")]
     return {**{key: config[key] for key in keys}, "trainer": trainer, "trained_on": trained_on}
 

@@ -43,7 +43,9 @@ class DerenderingModule(L.LightningModule):
 
     def make_figures(self, every_n_epochs: int) -> L.Callback:
         """Return the callback that draws validation examples."""
-        from cophy.training.figures import DerenderingFigures  # no weight depends on figures, see cophy.training.reuse
+        from cophy.drawing.tensorboard import (
+            DerenderingFigures,
+        )  # no weight depends on figures, see cophy.training.reuse
 
         return DerenderingFigures(every_n_epochs)
 

@@ -122,7 +122,9 @@ class PredictionModule(L.LightningModule):
 
     def make_figures(self, every_n_epochs: int) -> L.Callback:
         """Return the callback that draws validation examples."""
-        from cophy.training.figures import PredictionFigures  # no weight depends on figures, see cophy.training.reuse
+        from cophy.drawing.tensorboard import (
+            PredictionFigures,
+        )  # no weight depends on figures, see cophy.training.reuse
 
         return PredictionFigures(self.scenario, every_n_epochs)
 

@@ -1,23 +1,21 @@
 """Train once what several runs share, and continue what was interrupted.
 
-3to3 and 3to4, for example, differ only in their test data. Beside its checkpoints a training stores a fingerprint: when it
-begins (begun.json) and when it ends (finished.json). The fingerprint hashes the files of cophy that training imports, the
-user's model with the modules beside it, the version of torch, the configuration that weights depend on, and the checksums
-of the training data. The device is not part of it.
+3to3 and 3to4, for example, differ only in their test data. Next to its checkpoints a training stores a fingerprint: when it
+begins (begun.json) and when it ends (finished.json). A training with an equal fingerprint is the same training, on whatever
+device.
 """
 
-import ast
 import hashlib
 import inspect
 import json
 import logging
 import os
 import shutil
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from torch import nn
 
 import cophy
 from cophy.atomic_files import read_plain, sha256, write_atomically
@@ -28,74 +26,46 @@ from cophy.training.run import Run
 log = logging.getLogger(__name__)
 
 PACKAGE = Path(cophy.__file__).parent
+CODE = ("scenario", "dataset", "models", "training")  # the subpackages that weights depend on
 FINISHED, BEGUN = "finished.json", "begun.json"
 STOPPED = "last_of_stopped.ckpt"
-KEYS = {FINISHED: {"fingerprint", "training_seconds", "validation", "resumed"}, BEGUN: {"fingerprint", "resumed"}}
+NOTES = {FINISHED: {"fingerprint", "training_seconds", "validation", "resumed"}, BEGUN: {"fingerprint", "resumed"}}
 PAIR = ("best.ckpt", "last.ckpt")
-WITHOUT_EFFECT = {  # keys of `trainer` that are not part of the fingerprint
-    *("enable_progress_bar", "enable_model_summary", "log_every_n_steps", "limit_test_batches", "profiler"),
-    *("accelerator", "devices", "num_nodes", "strategy"),  # they only change rounding
-}
 
 
 class Start(NamedTuple):
-    """How a training starts.
+    """How a run starts.
 
     Attributes:
-        finished: Facts about an identical finished training, whose checkpoints are now this run's; None if there is none.
-        checkpoint: Where training resumes, or the best checkpoint of the finished training; None for a new training.
-        resumed: How often it was interrupted before.
+        finished: Facts about the training if there is nothing to train: training_seconds, resumed, validation.
+        checkpoint: Where training resumes, or the checkpoint to test; None for a new training, or for no weights.
+        resumed: How often the training was interrupted before.
+        keeps_curves: Whether the curves in the run's folder belong to this training.
     """
 
     finished: dict[str, Any] | None
     checkpoint: Path | None
-    resumed: int
+    resumed: int = 0
+    keeps_curves: bool = False
 
 
-def hash_code(*objects: object) -> str:
-    """Hash the source files that the classes of some objects import from cophy, and files beside classes of the user.
+def hash_code(network: nn.Module) -> str:
+    """Hash the source that weights depend on: subpackages of cophy, and the files next to a model of the user.
 
     Call it before data are generated, so that an edit in the meantime counts for the next command.
     """
-    classes = [type(each) for each in objects]
-    paths = set(imported_files({each.__module__ for each in classes if each.__module__.startswith("cophy.")}))
-    for each in classes:
-        source = inspect.getsourcefile(each)
-        if source and PACKAGE not in Path(source).parents:
-            paths |= set(Path(source).parent.glob("*.py"))
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(paths))).hexdigest()
-
-
-def imported_files(modules: set[str]) -> list[Path]:
-    """Return the files of some modules of cophy and of all that they import from cophy at module level."""
-    files: dict[str, Path] = {}
-    remaining = sorted(modules)
-    while remaining:
-        name = remaining.pop()
-        if name not in files:
-            files[name] = Path(str(sys.modules[name].__file__))
-            remaining += _imports(ast.parse(files[name].read_bytes()))
-    return sorted(files.values())
-
-
-def _imports(tree: ast.Module) -> set[str]:
-    """Return the modules of cophy that a file imports at module level, also through a package's `__init__`."""
-    modules = set()
-    for node in tree.body:
-        if isinstance(node, ast.Import):
-            modules |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            modules.add(str(node.module))
-            for alias in node.names:
-                value = getattr(sys.modules.get(str(node.module)), alias.name, None)
-                modules |= {str(getattr(value, "__module__", None)), f"{node.module}.{alias.name}"}
-    return {name for name in modules if name.split(".")[0] == "cophy" and name in sys.modules}
+    folders = [PACKAGE / name for name in CODE]
+    source = inspect.getsourcefile(type(network))
+    if source and PACKAGE not in Path(source).parents:
+        folders.append(Path(source).parent)
+    paths = [PACKAGE / "types.py", *(path for folder in folders for path in sorted(folder.glob("*.py")))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 
 
 def fingerprint(
     origin: dict[str, Any],
     *,
-    trainer: dict[str, Any],
+    max_epochs: int,
     threads: int,
     code: str,
     checksums: dict[str, Any],
@@ -105,7 +75,7 @@ def fingerprint(
 
     Args:
         origin: The configuration as stored in checkpoints.
-        trainer: Arguments of `lightning.Trainer`.
+        max_epochs: Epochs of the training.
         threads: Threads of torch.
         code: See `hash_code`.
         checksums: Checksums of the training data.
@@ -113,7 +83,7 @@ def fingerprint(
     """
     content = {
         **{key: origin[key] for key in ("trained_on", "model", "training", "seed")},
-        "trainer": {key: value for key, value in trainer.items() if key not in WITHOUT_EFFECT},
+        "trainer": origin["trainer"] | {"max_epochs": max_epochs},
         "threads": threads,
         "code": code,
         "torch": torch.__version__,
@@ -134,18 +104,19 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> 
     """
     if reuse and (checkpoints := _find_finished(run, wanted)) is not None:
         log.info("already trained on the same data with the same settings: %s (reuse=false trains again)", checkpoints)
-        return Start(_adopt(checkpoints, run), checkpoints / "best.ckpt", 0)
+        is_own = checkpoints.resolve() == run.checkpoints.resolve()
+        return Start(_adopt(checkpoints, run), run.checkpoints / "best.ckpt", keeps_curves=is_own)
     last, stopped = run.checkpoints / "last.ckpt", _read(run.checkpoints, BEGUN)
     if reuse and stopped.get("fingerprint") == wanted and _is_complete(run.checkpoints):
         log.info("continues where it stopped: %s (reuse=false trains again)", last)
         resumed = stopped["resumed"] + 1
         _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
-        return Start(None, last, resumed + (ckpt is not None))
+        return Start(None, last, resumed + (ckpt is not None), keeps_curves=True)
     best = read_bytes(ckpt.with_name("best.ckpt")) if ckpt and ckpt.with_name("best.ckpt").is_file() else None
     is_last = ckpt is not None and last.exists() and ckpt.samefile(last)
     if last.exists() and (stopped or is_last):
         log.warning(
-            "%s belongs to a training with other settings or code, or a shorter one: it is kept as %s; this one starts anew",
+            "%s belongs to a training with other settings or code, or a shorter one: it becomes %s; this one starts from scratch",
             *(last, last.with_name(STOPPED)),
         )
         os.replace(last, last.with_name(STOPPED))
@@ -154,7 +125,8 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> 
         run.checkpoints.mkdir(parents=True, exist_ok=True)
         write_atomically(run.checkpoints / "best.ckpt", best)
     _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": 0})
-    return Start(None, last.with_name(STOPPED) if is_last else ckpt, int(ckpt is not None))
+    resumed_from = last.with_name(STOPPED) if is_last else ckpt
+    return Start(None, resumed_from, int(ckpt is not None), keeps_curves=ckpt is not None)
 
 
 def record_finished(run: Run, wanted: str, facts: dict[str, Any]) -> None:
@@ -209,6 +181,6 @@ def _read(checkpoints: Path, name: str) -> dict[str, Any]:
         return {}
     except ValueError as error:
         raise CophyError(f"{path} is damaged ({error}): delete it to train again") from error
-    if not isinstance(content, dict) or not KEYS[name] <= content.keys():
-        raise CophyError(f"{path} lacks {', '.join(sorted(KEYS[name]))}: delete it to train again")
+    if not isinstance(content, dict) or not NOTES[name] <= content.keys():
+        raise CophyError(f"{path} lacks {', '.join(sorted(NOTES[name]))}: delete it to train again")
     return content

@@ -29,6 +29,7 @@ from lightning.pytorch.utilities.exceptions import SIGTERMException
 from torch import nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from cophy.drawing.tensorboard import Curves
 from cophy.errors import CophyError
 from cophy.training.callbacks import (
     BestCheckpoint,
@@ -41,7 +42,6 @@ from cophy.training.callbacks import (
     Stopwatch,
 )
 from cophy.training.checkpoints import WholeCheckpoints, flatten
-from cophy.training.figures import Curves
 from cophy.training.run import Run, is_first
 
 MAX_PROCESSES_PER_CORE = 8  # of a run on CPUs; more would only fill the memory
@@ -175,8 +175,24 @@ def was_requeued() -> bool:
     return int(os.environ.get("SLURM_RESTART_COUNT", "0")) > 0
 
 
-def log_names(trainer: L.Trainer, run: Run, origin: dict[str, Any], arguments: dict[str, Any]) -> None:
-    """Log what loggers compare runs by: names and the keys of model, training and trainer."""
+def prepare_loggers(
+    trainer: L.Trainer, run: Run, origin: dict[str, Any], arguments: dict[str, Any], *, keeps_curves: bool, trains: bool
+) -> None:
+    """Remove TensorBoard's curves of an earlier training, and log what loggers compare runs by.
+
+    Args:
+        trainer: Its loggers are prepared.
+        run: Names.
+        origin: Keys of model and training.
+        arguments: Arguments of `lightning.Trainer`.
+        keeps_curves: Whether earlier curves in the run's folder belong to this training.
+        trains: Whether the run trains. If it only tests, nothing is added to curves that are kept.
+    """
+    for logger in trainer.loggers if trainer.is_global_zero and not keeps_curves else []:
+        if isinstance(logger, Curves):
+            logger.remove_earlier()
+    if not trains:
+        trainer.loggers = [each for each in trainer.loggers if not (isinstance(each, Curves) and each.earlier)]
     keys = {"model": origin["model"], "training": origin["training"], "trainer": arguments}
     for logger in trainer.loggers:
         logger.log_hyperparams(run.names() | flatten(keys))
@@ -190,18 +206,6 @@ def log_results(trainer: L.Trainer, results: dict[str, float]) -> None:
         else:
             logger.log_metrics({f"test/{name}": value for name, value in results.items()}, trainer.global_step)
         logger.save()
-
-
-def remove_earlier_curves(trainer: L.Trainer) -> None:
-    """Remove TensorBoard's curves of an earlier training of the same run."""
-    for logger in trainer.loggers if trainer.is_global_zero else []:
-        if isinstance(logger, Curves):
-            logger.remove_earlier()
-
-
-def select_loggers(trainer: L.Trainer) -> None:
-    """Do not log to curves that exist already: they are those of the training whose checkpoint is tested."""
-    trainer.loggers = [each for each in trainer.loggers if not (isinstance(each, Curves) and each.earlier)]
 
 
 @contextmanager

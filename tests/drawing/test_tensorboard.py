@@ -8,9 +8,9 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from cophy.drawing import tensorboard
+from cophy.drawing.tensorboard import Curves, DrawnPredictions
 from cophy.scenario import Scenario
-from cophy.training import figures
-from cophy.training.figures import Curves, DrawnPredictions
 from cophy.types import Prediction
 from tests.models.networks import random_batch
 
@@ -26,7 +26,7 @@ def test_the_clip_is_of_twins_or_of_one_experiment(
     pairs: list[int], num_rows: int, scenario_of: Callable[[str], Scenario], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario, clips = scenario_of("balls"), []
-    monkeypatch.setattr(figures, "add_clip", lambda writer, name, frames, **_: clips.append(frames))
+    monkeypatch.setattr(tensorboard, "add_clip", lambda writer, name, frames, **_: clips.append(frames))
     batch = random_batch(scenario.num_slots, [4] * 4, num_frames=30)
     shown = replace(batch, targets=replace(batch.targets, pair=torch.tensor(pairs)))
     prediction = Prediction(shown.targets.position, torch.zeros_like(shown.targets.position[..., 0]))
