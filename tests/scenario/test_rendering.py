@@ -1,4 +1,4 @@
-"""Pictures against geometry."""
+"""Images of scenes: colours, depth, segmentation, textures."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
 from cophy.scenario import Camera, Scenario, Shape
-from cophy.scenario.rendering import NO_OBJECT, Backend, Frames, Renderer
+from cophy.scenario.rendering import NO_OBJECT, Backend, Frames, Renderer, RenderSettings, backdrop_image, floor_texture
 
 RESOLUTION = 224
 
@@ -109,3 +109,17 @@ def test_a_backend_that_does_not_load_is_named(
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(CophyError, match=r"use render\.backend=tiny"):
         Renderer(scenario_of("balls"), 32, Backend.egl)
+
+
+def test_settings_are_checked() -> None:
+    with pytest.raises(ValueError, match="modalities"):
+        RenderSettings(["rgb", "heat"], 64, Backend.tiny)
+    with pytest.raises(ValueError, match="resolution=4 must"):
+        RenderSettings(["rgb"], 4, Backend.tiny)
+
+
+def test_floors_of_different_seeds_differ() -> None:
+    floors = np.stack([floor_texture(seed)[::64, ::64].reshape(-1) for seed in range(12)]).astype(float)
+    distance = np.abs(floors[:, None] - floors).mean(axis=-1)
+    assert distance[~np.eye(len(floors), dtype=bool)].min() > 3
+    assert backdrop_image(0, 32).shape == (32, 32, 3)

@@ -1,4 +1,4 @@
-"""Simulation against closed forms."""
+"""Simulation: Bullet against closed forms, byte-equal repetitions, and the cache."""
 
 import subprocess
 import sys
@@ -10,7 +10,9 @@ import pytest
 
 from cophy.errors import CophyError
 from cophy.scenario import Body, Clock, Scene, Shape, Simulator, Solver, Trajectory
+from cophy.scenario import simulator as simulator_module
 from cophy.scenario.physics import make_floor, make_walls
+from cophy.scenario.simulator import CachingSimulator
 
 CLOCK = Clock(num_frames=30, frame_rate_hz=5, state_rate_hz=20)
 IMPACTS = Solver(step_rate_hz=240, iterations=50, elastic_impacts=True)  # as balls and collision
@@ -168,3 +170,38 @@ def test_pybullet_is_imported_without_its_banner() -> None:
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (found.stdout, found.stderr) == ("", "!\n")
+
+
+def test_a_scene_is_simulated_once_until_the_cache_is_cleared(scenario_of) -> None:
+    scenario = scenario_of("collision")
+    scene = scenario.with_configuration(0, scenario.sample_scene(0, (0, 1), np.random.default_rng(0)))
+    with CachingSimulator() as simulator:
+        first = scenario.simulate(simulator, scene)
+        assert (
+            scenario.simulate(simulator, scenario.with_configuration(0, scene.with_velocities(_velocities(scene))))
+            is first
+        )
+        assert scenario.simulate(simulator, scenario.with_configuration(1, scene)) is not first
+        assert simulator.num_simulations == 2
+        simulator.clear_cache()
+        again = scenario.simulate(simulator, scene)
+        assert simulator.num_simulations == 3
+        assert np.array_equal(again.states, first.states)
+
+
+def test_the_oldest_trajectory_is_deleted_when_the_cache_is_full(scenario_of, monkeypatch) -> None:
+    scenario = scenario_of("collision")
+    scene = scenario.sample_scene(0, (0, 1), np.random.default_rng(0))
+    monkeypatch.setattr(simulator_module, "_MAX_CACHED", 2)
+    with CachingSimulator() as simulator:
+        first, second, third = (
+            scenario.simulate(simulator, scenario.with_configuration(each, scene)) for each in (0, 1, 2)
+        )
+        assert scenario.simulate(simulator, scenario.with_configuration(1, scene)) is second
+        assert scenario.simulate(simulator, scenario.with_configuration(2, scene)) is third
+        assert scenario.simulate(simulator, scenario.with_configuration(0, scene)) is not first
+        assert simulator.num_simulations == 4
+
+
+def _velocities(scene) -> np.ndarray:
+    return np.array([body.linear_velocity[:2] for body in scene.objects])

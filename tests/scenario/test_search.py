@@ -1,4 +1,4 @@
-"""Search by simulation: which sequences may be kept."""
+"""Search by simulation."""
 
 from pathlib import Path
 

@@ -1,13 +1,50 @@
-"""No scenario's simulation makes energy out of nothing."""
+"""Scenes, axes of bodies, and mechanical energy."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cophy.scenario import Scenario, Simulator
-from cophy.scenario.physics import Body, Scene, Shape, Trajectory, Vector, largest_energy_gain, mechanical_energy
+from cophy.scenario.physics import (
+    Body,
+    Scene,
+    Shape,
+    Trajectory,
+    Vector,
+    largest_energy_gain,
+    make_floor,
+    mechanical_energy,
+    x_axis,
+    z_axis,
+)
 from tests.conftest import SCENARIOS, tiny_spec
+
+
+def test_a_movable_body_needs_a_mass() -> None:
+    with pytest.raises(ValueError, match="slot and a mass"):
+        Body(Shape.BOX, (1, 1, 1), (0, 0, 0), slot=1)
+
+
+def test_velocities_are_those_of_the_objects_in_their_order() -> None:
+    balls = (Body(Shape.SPHERE, (1, 1, 1), (2.0 * slot, 0.0, 0.5), slot, mass=1.0) for slot in (2, 0))
+    scene = Scene((make_floor(), *balls), gravity=(0.0, 0.0, -10.0))
+    moving = scene.with_velocities(np.array([[1.0, 2.0], [3.0, 4.0]]))
+    assert [body.linear_velocity for body in moving.objects] == [(1.0, 2.0, 0.0), (3.0, 4.0, 0.0)]
+    assert moving.at_rest() == scene
+
+
+def test_axes_are_those_of_the_rotation() -> None:
+    rotations = Rotation.random(50, rng=np.random.default_rng(0))
+    quaternions = rotations.as_quat()
+    np.testing.assert_allclose(x_axis(quaternions), rotations.apply((1.0, 0.0, 0.0)), atol=1e-12)
+    np.testing.assert_allclose(z_axis(quaternions), rotations.apply((0.0, 0.0, 1.0)), atol=1e-12)
+
+
+def test_what_is_no_rotation_raises_nothing() -> None:
+    assert np.isfinite(z_axis(np.zeros((2, 4)))).all()
+    assert np.isnan(x_axis(np.full((2, 4), np.nan))).all()
 
 
 def moving(shape: Shape, size_m: Vector, angular: list[float]) -> tuple[Scene, Trajectory]:
