@@ -49,13 +49,6 @@ def test_a_database_with_other_tables_is_named_and_not_changed(tmp_path: Path) -
     refuse(path, "table answers has other columns")
 
 
-def test_a_file_of_a_newer_schema_is_named(path: Path) -> None:
-    with sqlite3.connect(path) as db:
-        db.execute("PRAGMA user_version=2")
-    db.close()
-    refuse(path, "has schema version 2")
-
-
 def test_text_that_is_not_utf_8_is_named(path: Path) -> None:
     with sqlite3.connect(path) as db:
         db.execute("UPDATE participants SET code = CAST(x'ff' AS TEXT)")

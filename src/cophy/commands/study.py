@@ -1,9 +1,12 @@
 """The human study of Table 1: python src/study.py scenario=blocktower"""
 
 import importlib.util
+import logging
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
@@ -13,6 +16,11 @@ from cophy.dataset import generation
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.schemas import ACTIONS, StudyConfig
+
+if TYPE_CHECKING:
+    from cophy.study.experiments import StudyExperiments
+
+log = logging.getLogger(__name__)
 
 
 @cli.command("study")
@@ -34,17 +42,7 @@ def _run_action(config: StudyConfig, states: States) -> None:
 
     experiments = StudyExperiments(states, config.split, config.study, Path(config.directory))
     if config.action == "serve":
-        from cophy.study.server import serve
-
-        serve(
-            experiments,
-            welcome=None if config.welcome is None else Path(config.welcome),
-            limits=config.limits,
-            host=config.host,
-            port=config.port,
-            trusted_proxies=config.trusted_proxies,
-            workers=config.workers,
-        )
+        _serve(config, experiments)
     elif config.action == "export":
         from cophy.study.judging import export_answers
 
@@ -57,6 +55,21 @@ def _run_action(config: StudyConfig, states: States) -> None:
         from cophy.study.simulation import estimate_power
 
         estimate_power(experiments)
+
+
+def _serve(config: StudyConfig, experiments: "StudyExperiments") -> None:
+    """Serve the study until it is interrupted."""
+    from cophy.study.answers import ANSWERS, PERSON, AnswerStore, exclusive
+    from cophy.study.server import listen, make_app, serve, welcome_text
+    from cophy.study.sessions import Sessions
+
+    welcome, path = welcome_text(config.welcome, config.study), experiments.directory / ANSWERS
+    with listen(config.host, config.port) as listener, exclusive(path), closing(AnswerStore(path)) as store:
+        experiments.draw_missing(workers=config.workers)
+        address, port, *_ = listener.getsockname()
+        log.info("study %s on http://%s:%d/; answers: %s", experiments.study_id, address, port, path.parent)
+        app = make_app(Sessions(store, experiments, PERSON), welcome, config.limits)
+        serve(app, listener, config.trusted_proxies)
 
 
 def main() -> None:

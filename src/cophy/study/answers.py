@@ -1,4 +1,4 @@
-"""Answers of participants: their checks, and the SQLite file that stores them.
+"""Checks of participants' answers, and the SQLite file that stores them.
 
 docs/study.md explains the tables of the file.
 """
@@ -7,7 +7,6 @@ import sqlite3
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,46 +22,21 @@ MAX_UNDONE = 1000
 MAX_WINDOW_PX = 20_000
 
 
-class BadAnswerError(ValueError):
-    """A browser sent something that is not a valid answer."""
+class RefusedError(Exception):
+    """A request that is not allowed; `status` is the HTTP status of the response."""
+
+    def __init__(self, status: int, reason: str) -> None:
+        super().__init__(reason)
+        self.status, self.reason = status, reason
 
 
-@dataclass(frozen=True)
-class Click:
-    """Position where a participant expects an object to end.
+def check_answer(body: Any, *, slots: set[int], resolution: int, last_ms: int) -> None:
+    """Check that what a browser sent is an answer to a task.
 
-    Attributes:
-        x: Pixels of the image.
-        y: Pixels of the image.
-        at_ms: Milliseconds after the clock began.
-    """
-
-    x: float
-    y: float
-    at_ms: int
-
-
-@dataclass(frozen=True)
-class Answer:
-    """Answer to one task.
-
-    Attributes:
-        clicks: By slot; slots that were not clicked are absent.
-        undone: Number of clicks that were undone.
-        names_shown: Whether the participant let the names be written on the objects.
-        input: Device of the last click, one of INPUT_DEVICES.
-        window: Width and height of the browser's window, CSS pixels.
-    """
-
-    clicks: dict[int, Click]
-    undone: int
-    names_shown: bool
-    input: str
-    window: tuple[int, int]
-
-
-def parse_answer(body: Any, *, slots: set[int], resolution: int, last_ms: int) -> Answer:
-    """Check what a browser sent and return it as an answer.
+    An answer has the fields clicks, undone (number of clicks that were undone), names_shown (whether the participant let the
+    names be written on the objects), input (device of the last click, one of INPUT_DEVICES), and window (width and height of
+    the browser's window, CSS pixels). A click has the slot of its object, x and y (pixels of the image), and at_ms
+    (milliseconds after the clock began). Objects that were not clicked have no click.
 
     Args:
         body: Decoded JSON.
@@ -71,41 +45,37 @@ def parse_answer(body: Any, *, slots: set[int], resolution: int, last_ms: int) -
         last_ms: Latest time of a click.
 
     Raises:
-        BadAnswerError: It is not an answer.
+        RefusedError: It is not an answer.
     """
-    if not isinstance(body, dict) or set(body) != {"clicks", "undone", "names_shown", "input", "window"}:
-        raise BadAnswerError("not the fields of an answer")
-    if not isinstance(body["clicks"], list) or len(body["clicks"]) > len(slots):
-        raise BadAnswerError("clicks: at most one per object")
-    clicks = dict(_parse_click(click, slots, resolution, last_ms) for click in body["clicks"])
-    if len(clicks) != len(body["clicks"]):
-        raise BadAnswerError("clicks: two for one object")
-    if not isinstance(body["names_shown"], bool) or body["input"] not in INPUT_DEVICES:
-        raise BadAnswerError("names_shown or input")
-    if not isinstance(body["window"], list) or len(body["window"]) != 2:
-        raise BadAnswerError("window: width and height")
-    width, height = (int(_check_number(side, 1, MAX_WINDOW_PX, int)) for side in body["window"])
-    undone = int(_check_number(body["undone"], 0, MAX_UNDONE, int))
-    return Answer(clicks, undone, body["names_shown"], body["input"], (width, height))
+    _require(_has_fields(body, "clicks", "undone", "names_shown", "input", "window"), "not the fields of an answer")
+    clicks, window = body["clicks"], body["window"]
+    _require(isinstance(clicks, list) and len(clicks) <= len(slots), "clicks: at most one per object")
+    for click in clicks:
+        _require(_has_fields(click, "slot", "x", "y", "at_ms"), "not the fields of a click")
+        is_slot = _is_number(click["slot"], 0, max(slots), int) and click["slot"] in slots
+        _require(is_slot, "slot: there is no such object in this image")
+        _require(all(_is_number(click[axis], 0, resolution) for axis in "xy"), "x or y: outside of the image")
+        _require(_is_number(click["at_ms"], 0, last_ms, int), "at_ms: not within the time of the task")
+    _require(len({click["slot"] for click in clicks}) == len(clicks), "clicks: two for one object")
+    _require(isinstance(body["names_shown"], bool) and body["input"] in INPUT_DEVICES, "names_shown or input")
+    is_pair = isinstance(window, list) and len(window) == 2
+    _require(is_pair and all(_is_number(side, 1, MAX_WINDOW_PX, int) for side in window), "window: width and height")
+    _require(_is_number(body["undone"], 0, MAX_UNDONE, int), "undone: not a number of clicks")
 
 
-def _parse_click(body: Any, slots: set[int], resolution: int, last_ms: int) -> tuple[int, Click]:
-    if not isinstance(body, dict) or set(body) != {"slot", "x", "y", "at_ms"}:
-        raise BadAnswerError("not the fields of a click")
-    slot = int(_check_number(body["slot"], 0, max(slots), int))
-    if slot not in slots:
-        raise BadAnswerError("slot: there is no such object in this image")
-    x, y = (_check_number(body[axis], 0, resolution) for axis in "xy")
-    return slot, Click(x, y, int(_check_number(body["at_ms"], 0, last_ms, int)))
+def _require(condition: bool, reason: str) -> None:
+    if not condition:
+        raise RefusedError(422, f"This is not an answer: {reason}.")
 
 
-def _check_number(value: Any, low: float, high: float, kinds: Any = (int, float)) -> float:
-    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:  # NaN is not between
-        raise BadAnswerError("a number is missing or out of its range")
-    return float(value)
+def _has_fields(body: Any, *names: str) -> bool:
+    return isinstance(body, dict) and set(body) == set(names)
 
 
-SCHEMA_VERSION = 1
+def _is_number(value: Any, low: int, high: int, kinds: Any = (int, float)) -> bool:
+    return isinstance(value, kinds) and not isinstance(value, bool) and low <= value <= high  # NaN is not between
+
+
 SCHEMA = """
 CREATE TABLE studies (
     study TEXT PRIMARY KEY, description TEXT NOT NULL
@@ -144,7 +114,6 @@ class AnswerStore:
             CophyError: It is damaged, not an answer file, in use or not writable.
             OSError: The disk is full.
         """
-        path.parent.mkdir(parents=True, exist_ok=True)
         self._lock = threading.RLock()
         with naming_file(path):
             self._connection = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=30)
@@ -165,20 +134,14 @@ class AnswerStore:
             with self.transaction() as db:
                 for statement in SCHEMA.split(";\n"):
                     db.execute(statement)
-                db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+                db.execute("PRAGMA user_version=1")  # version of the schema
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """Write everything that is written inside to disk at the end, or nothing of it."""
-        with self._lock:
+        with self._lock, self._connection:  # the connection commits, or rolls back on an error
             self._connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._connection
-                self._connection.execute("COMMIT")
-            except BaseException:
-                if self._connection.in_transaction:  # a full disk may have ended it
-                    self._connection.execute("ROLLBACK")
-                raise
+            yield self._connection
 
     def close(self) -> None:
         """Close the file."""
@@ -200,12 +163,6 @@ def open_answers(path: Path) -> Iterator[sqlite3.Connection]:
 
 def _check_tables(db: sqlite3.Connection, path: Path) -> None:
     """Check integrity and schema of an answer file."""
-    (version,) = db.execute("PRAGMA user_version").fetchone()
-    if version not in (0, SCHEMA_VERSION):
-        raise CophyError(
-            f"{path} has schema version {version}, but this program writes version {SCHEMA_VERSION}: "
-            "set another folder with directory="
-        )
     with closing(sqlite3.connect(":memory:")) as expected:
         expected.executescript(SCHEMA)
         missing = set(expected.execute(_COLUMNS)) - {tuple(row) for row in db.execute(_COLUMNS)}
@@ -226,7 +183,7 @@ def damaged_error(path: Path, reason: object) -> CophyError:
 
 @contextmanager
 def naming_file(path: Path) -> Iterator[None]:
-    """Name the answer file in errors of SQLite that are due to the file and not to the program.
+    """Turn errors of SQLite that are due to the file, and not to the program, into one line that names the file.
 
     Raises:
         CophyError: The file is damaged, not an answer file, in use, or cannot be opened.
@@ -263,9 +220,3 @@ def exclusive(path: Path) -> Iterator[None]:
             yield
     except Timeout:
         raise CophyError(f"{path} is being written by another process: set another folder with directory=") from None
-
-
-def remove_journal(path: Path) -> None:
-    """Delete the journal of a file that is about to be replaced: SQLite would apply it to the new file."""
-    for suffix in ("-wal", "-shm"):
-        path.with_name(f"{path.name}{suffix}").unlink(missing_ok=True)

@@ -15,6 +15,7 @@ from tqdm import tqdm
 from cophy.atomic_files import appearing_whole, check_space, without_leftovers
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import States
+from cophy.drawing.files import write_image
 from cophy.drawing.overview import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
@@ -64,14 +65,14 @@ class Scenes:
 
     def moved_as_in_ab(self, experiment: int) -> Positions:
         """Return where the objects of C would end if they moved, in the image, as in AB."""
-        moved = self._project(experiment, AB, -1) - self._project(experiment, AB, 0)
-        return self._by_slot(experiment, self._project(experiment, CD, 0) + moved)
+        motion = self._project(experiment, AB, -1) - self._project(experiment, AB, 0)
+        return self._by_slot(experiment, self._project(experiment, CD, 0) + motion)
 
     def _by_slot(self, experiment: int, pixels: np.ndarray) -> Positions:
         return {slot: (float(pixels[slot][0]), float(pixels[slot][1])) for slot in sorted(self.slots(experiment))}
 
     def _project(self, experiment: int, sequence: int, frame: int) -> np.ndarray:
-        """(slot, 2) pixels at a frame of AB or CD."""
+        """Return the pixels (slot, 2) of the objects at a frame of AB or CD."""
         states = self._arrays["states"][experiment, sequence, :: self.scenario.clock.states_per_frame]
         return self.scenario.camera.project(states[frame, :, :3], self.resolution)
 
@@ -136,19 +137,10 @@ class StudyExperiments:
     def description(self) -> str:
         """What the report needs to find the data again, as JSON."""
         spec = self.states.spec
-        return json.dumps(
-            {
-                "scenario": self.scenario.name,
-                "split": self.split.name,
-                "num_objects": spec.num_objects,
-                "size": spec.size.name,
-                "data": self.states.id,
-                "data_seed": spec.data_seed,
-                "overrides": spec.overrides,
-                "resolution": self.settings.resolution,
-                "seconds": self.settings.seconds,
-            }
-        )
+        data = {"data": self.states.id, "data_seed": spec.data_seed, "overrides": spec.overrides}
+        experiments = {"num_objects": spec.num_objects, "size": spec.size.name, **data}
+        images = {"resolution": self.settings.resolution, "seconds": self.settings.seconds}
+        return json.dumps({"scenario": self.scenario.name, "split": self.split.name, **experiments, **images})
 
     def tasks(self, number: int) -> list[StudyTask]:
         """Return the tasks of a participant, practice first."""
@@ -160,17 +152,13 @@ class StudyExperiments:
 
     def draw_missing(self, *, workers: int) -> None:
         """Draw the images and clips that do not exist yet."""
-        missing = [
-            experiment
-            for experiment in self.shown
-            if not (self.file(experiment, IMAGE).exists() and self.file(experiment, CLIP).exists())
-        ]
+        missing = [e for e in self.shown if not all(self.file(e, name).exists() for name in (IMAGE, CLIP))]
         if not missing:
             return
         self.image_directory.mkdir(parents=True, exist_ok=True)
-        arrays = {name: self.arrays[name][missing] for name in RENDERED_ARRAYS}
-        parts = np.array_split(np.arange(len(missing)), min(len(missing), 4 * workers))
-        stems = [[self.image_directory / str(missing[row]) for row in part] for part in parts]
+        parts = [part.tolist() for part in np.array_split(missing, min(len(missing), 4 * workers))]
+        arrays = [{name: self.arrays[name][part] for name in RENDERED_ARRAYS} for part in parts]
+        stems = [[self.image_directory / str(experiment) for experiment in part] for part in parts]
         draw = partial(_draw, self.scenario, self.settings.resolution)
         with (
             without_leftovers(self.image_directory),
@@ -179,7 +167,7 @@ class StudyExperiments:
             ending_workers(),
         ):
             try:
-                for num_drawn in pool.map(draw, [{n: a[part] for n, a in arrays.items()} for part in parts], stems):
+                for num_drawn in pool.map(draw, arrays, stems):
                     bar.update(num_drawn)
             except BrokenProcessPool as error:
                 raise CophyError(
@@ -194,26 +182,20 @@ def _draw(scenario: Scenario, resolution: int, arrays: dict[str, np.ndarray], st
         for row, stem in enumerate(stems):
             image = render_sequence(renderer, arrays, row, CD, [0]).rgb[0]
             clip = render_sequence(renderer, arrays, row, AB, slice(None)).rgb
-            with appearing_whole(stem.with_name(f"{stem.name}-{IMAGE}")) as path:
-                path.write_bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())
+            write_image(stem.with_name(f"{stem.name}-{IMAGE}"), image)
             with appearing_whole(stem.with_name(f"{stem.name}-{CLIP}")) as path:
                 _write_clip(path, clip, scenario.clock.frame_rate_hz)
     return len(stems)
 
 
 def _write_clip(path: Path, frames: np.ndarray, frame_rate_hz: int) -> None:
-    """Write a WebM file.
-
-    Args:
-        path: The file; OpenCV derives the container from the suffix, so it writes to a path of its own first.
-        frames: (frame, R, R, 3) RGB.
-        frame_rate_hz: Frames per second.
+    """Write RGB frames, (frame, R, R, 3), as a WebM file.
 
     Raises:
         OSError: The disk is full.
         CophyError: OpenCV did not write all frames, which it does not report.
     """
-    webm = path.with_name(f"{path.name}.webm")
+    webm = path.with_name(f"{path.name}.webm")  # OpenCV derives the container from the suffix
     try:
         writer = cv2.VideoWriter(str(webm), cv2.VideoWriter.fourcc(*CODEC), frame_rate_hz, frames.shape[1:3])
         if not writer.isOpened():

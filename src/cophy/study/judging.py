@@ -32,7 +32,6 @@ WHERE p.study = ? GROUP BY p.id ORDER BY p.kind, p.number
 STUDIES = """
 SELECT study, description, count(*) AS participants FROM participants JOIN studies USING (study) GROUP BY study
 """
-DESCRIPTIONS = "SELECT study, description FROM studies ORDER BY study"
 REFERENCE_RESOLUTION = 448  # paper Table 1: errors are in pixels of images of 448 × 448
 COLUMNS = (
     *("kind", "setting", "measure", "mean", "sigma", "low_people", "high_people", "low_pairs", "high_pairs"),
@@ -46,7 +45,7 @@ def read_descriptions(path: Path) -> dict[str, str]:
     Raises:
         CophyError: See `open_answers`.
     """
-    return dict(_query(path, DESCRIPTIONS).itertuples(index=False))
+    return dict(_query(path, "SELECT study, description FROM studies ORDER BY study").itertuples(index=False))
 
 
 def read_clicks(path: Path, study: str) -> pd.DataFrame:
@@ -76,13 +75,11 @@ def read_participants(path: Path, study: str) -> pd.DataFrame:
     """
     participants = _query(path, PARTICIPANTS, study)
     if participants.empty:
-        others = [
-            f"{row.participants} participants of study {row.study} {row.description}"
-            for row in _query(path, STUDIES).itertuples()
-        ]
-        content = f"it has {'; '.join(others)}: set the keys that it was served with" if others else "it is empty"
+        studies = _query(path, STUDIES).itertuples()
+        others = "; ".join(f"{row.participants} participants of study {row.study} {row.description}" for row in studies)
+        content = f"it has {others}: set the keys that it was served with" if others else "it is empty"
         raise CophyError(
-            f"{path} has no participants of study {study}, whose id follows from the data and study.*; {content}"
+            f"{path} has no participants of study {study} (it follows from the data and study.*); {content}"
         )
     return participants
 
@@ -159,7 +156,5 @@ def export_answers(experiments: StudyExperiments) -> None:
     for name, table in (("answers.csv", judged), ("participants.csv", participants), ("table.csv", rows)):
         write_atomically(path.with_name(name), table.to_csv(index=False).encode())
     text = "only answers to practice tasks so far" if rows.empty else rows.round(2).to_string()
-    message = (
-        "%s\n%d clicks in answers.csv, %d participants and their codes in participants.csv, these rows in table.csv: %s"
-    )
-    log.info(message, text, len(judged), len(participants), path.parent)
+    files = f"{len(judged)} clicks in answers.csv, {len(participants)} participants and their codes in participants.csv"
+    log.info("%s\n%s, these rows in table.csv: %s", text, files, path.parent)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -26,9 +25,6 @@ from cophy.study.plan import check_resolution
 
 log = logging.getLogger(__name__)
 
-FILES = (ANSWERS, SIMULATED)
-# raised by a description that study.py did not write
-INVALID = (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError)
 Dataset = Callable[[str, int, str, int, Sequence[str]], States]  # scenario, num_objects, size, data_seed, overrides
 
 
@@ -63,17 +59,17 @@ def read_supplement(outputs: Path, dataset: Dataset) -> Supplement:
         dataset: Returns the dataset of a study.
     """
     studies = read_answers(outputs, dataset)
-    return Supplement(table_numbers(studies), study_tables(studies), CAPTION, dict(draw_studies(studies)))
+    return Supplement(table_numbers(studies), study_tables(studies), CAPTION, draw_studies(studies))
 
 
 def read_answers(outputs: Path, dataset: Dataset) -> list[StudyAnswers]:
     """Return all studies below a folder; what cannot be read, or whose data do not exist, is named and left out."""
     studies = []
-    for path in sorted(path for name in FILES for path in (outputs / "study").glob(f"*/{name}")):
+    for path in sorted(path for name in (ANSWERS, SIMULATED) for path in (outputs / "study").glob(f"*/{name}")):
         with _left_out(str(path)):
             for study, description in read_descriptions(path).items():
                 with _left_out(f"study {study} of {path}"):
-                    studies += _judge(path, study, json.loads(description), dataset)
+                    studies += _judge(path, study, description, dataset)
     return studies
 
 
@@ -82,27 +78,28 @@ def _left_out(name: str) -> Iterator[None]:
     """Log why a file or study cannot be read, and continue with the others."""
     try:
         yield
-    except (*INVALID, CophyError) as error:
-        reason = str(error) if isinstance(error, CophyError) else "not a file of answers that study.py wrote"
-        log.info(notice(f"{name} is left out: {reason}"))
+    except CophyError as error:
+        log.info(notice(f"{name} is left out: {error}"))
 
 
-def _judge(path: Path, study: str, description: dict[str, Any], dataset: Dataset) -> list[StudyAnswers]:
+def _judge(path: Path, study: str, description: str, dataset: Dataset) -> list[StudyAnswers]:
     """Return the judged answers of a study; none where there are no clicks."""
     clicks = read_clicks(path, study)
     if clicks.empty:
         return []
-    scenario, split, resolution = description["scenario"], description["split"], int(description["resolution"])
-    for name in (scenario, split, *clicks["kind"].unique()):  # parts of the names of figures
-        check_name("study", name)
-    check_resolution(resolution)
-    data_seed, overrides = (
-        int(description.get("data_seed", 0)),
-        [str(each) for each in description.get("overrides", [])],
-    )
-    states = dataset(scenario, int(description["num_objects"]), description["size"], data_seed, overrides)
-    if states.id != description["data"] or not states.is_finished():
-        raise CophyError(f"its data, {scenario}/{description['data']}, are not there")
+    try:
+        values = json.loads(description)
+        scenario, split, resolution = values["scenario"], values["split"], int(values["resolution"])
+        for name in (scenario, split, *clicks["kind"].unique()):  # parts of the names of figures
+            check_name("study", name)
+        check_resolution(resolution)
+        num_objects, data_seed = int(values["num_objects"]), int(values.get("data_seed", 0))
+        size, data, overrides = str(values["size"]), values["data"], [str(each) for each in values.get("overrides", [])]
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
+        raise CophyError(f"its description was not written by study.py ({type(error).__name__}: {error})") from error
+    states = dataset(scenario, num_objects, size, data_seed, overrides)
+    if states.id != data or not states.is_finished():
+        raise CophyError(f"its data, {scenario}/{data}, are not there")
     judged = judge(clicks, Scenes(states.spec.scenario, states.load(), resolution))
     return [StudyAnswers(scenario, split, states.id, resolution, path.parent, judged, human_rows(judged))]
 
@@ -111,21 +108,18 @@ NUM_PAIRS = 3  # drawn: those with the most answers
 TRUTH_RADIUS = 0.04  # part of the image
 
 
-def draw_studies(studies: Sequence[StudyAnswers]) -> Iterator[tuple[str, Figure]]:
-    """Yield name and figure for every study, kind of participants and setting."""
-    for number, study in enumerate(studies):
+def draw_studies(studies: Sequence[StudyAnswers]) -> dict[str, Figure]:
+    """Return name -> figure for every study, kind of participants and setting."""
+    figures: dict[str, Figure] = {}
+    for study in studies:
         answered = study.judged[(study.judged["practice"] == 0) & study.judged["x"].notna()]
         for (kind, setting), clicks in answered.groupby(["kind", "setting"]):
             who = "human participants" if kind == PERSON else f"simulated participants: {kind}"
             title = f"{study.scenario} {study.split}, {SETTING_LABELS[str(setting)]}, {who}"
-            same = [s for s in studies[:number] if (s.scenario, s.split, s.directory) == _place(study)]
-            again = f"-{len(same) + 1}" if any(kind in set(s.judged["kind"]) for s in same) else ""
-            name = f"study-{study.scenario}-{study.split}-{kind}-{setting}{again}"
-            yield name, _draw(study, clicks, title)
-
-
-def _place(study: StudyAnswers) -> tuple[object, ...]:
-    return study.scenario, study.split, study.directory
+            name = f"study-{study.scenario}-{study.split}-{kind}-{setting}"
+            number = sum(other.startswith(name) for other in figures)
+            figures[f"{name}-{number + 1}" if number else name] = _draw(study, clicks, title)
+    return figures
 
 
 def _draw(study: StudyAnswers, clicks: pd.DataFrame, title: str) -> Figure:
@@ -166,7 +160,6 @@ CAPTION = (
     "σ: standard deviation over answers, of their mean error over clicked objects. By participants, by pairs: 95 % bootstrap "
     "interval of the mean over participants or twin pairs. The models of Table 1 are tested on all pairs."
 )
-NUMBERS = ["scenario", "split", "setting", "metric", "ours", "sd", "low", "high", "participants", "answers"]
 
 
 def table_numbers(studies: Sequence[StudyAnswers]) -> pd.DataFrame:
@@ -178,20 +171,10 @@ def table_numbers(studies: Sequence[StudyAnswers]) -> pd.DataFrame:
     for study in studies:
         rows, place = study.rows[study.rows["kind"] == PERSON], (study.scenario, study.split)
         if len(rows) and (place not in largest or rows["answers"].sum() > largest[place]["answers"].sum()):
-            largest[place] = rows
-    frames = [
-        rows.assign(
-            scenario=scenario,
-            split=split,
-            metric=rows["measure"].str.replace("rank", "pixel_error").replace("mean", "pixel_error_by_height"),
-            ours=rows["mean"],
-            sd=rows["sigma"],
-            low=rows["low_people"],
-            high=rows["high_people"],
-        )[NUMBERS]
-        for (scenario, split), rows in largest.items()
-    ]
-    return pd.concat(frames) if frames else pd.DataFrame(columns=NUMBERS)
+            metric = rows["measure"].str.replace("rank", "pixel_error").replace("mean", "pixel_error_by_height")
+            largest[place] = rows.assign(scenario=study.scenario, split=study.split, metric=metric)
+    names = {"mean": "ours", "sigma": "sd", "low_people": "low", "high_people": "high"}
+    return pd.concat([pd.DataFrame(), *largest.values()]).rename(columns=names)
 
 
 def study_tables(studies: Sequence[StudyAnswers]) -> dict[str, pd.DataFrame]:

@@ -12,28 +12,27 @@ import socket
 import sqlite3
 import time
 from collections import OrderedDict
-from contextlib import closing, suppress
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import uvicorn
 from anyio.to_thread import run_sync
 from markdown_it import MarkdownIt
 from starlette.applications import Starlette
-from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
+from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from cophy.errors import CophyError
-from cophy.study.answers import ANSWERS, PERSON, AnswerStore, BadAnswerError, exclusive
-from cophy.study.experiments import CLIP, IMAGE, StudyExperiments
+from cophy.study.answers import RefusedError
+from cophy.study.experiments import CLIP, IMAGE
 from cophy.study.plan import SETTINGS, Limits, StudySettings
-from cophy.study.sessions import Place, RefusedError, Sessions
+from cophy.study.sessions import Place, Sessions
 
 log = logging.getLogger(__name__)
 
@@ -79,45 +78,26 @@ class Rate:
         return left >= 1
 
 
-class Guards:
-    """ASGI middleware that limits requests, adds headers, and answers errors of the server with JSON."""
+def _guards(requests_per_second: float) -> Callable[[Request, RequestResponseEndpoint], Awaitable[Response]]:
+    """Return a middleware that limits requests, adds headers, and answers errors of the server with JSON."""
+    rate = Rate(requests_per_second, BURST_S * requests_per_second)
 
-    def __init__(self, app: ASGIApp, requests_per_second: float) -> None:
-        self._app, self._rate = app, Rate(requests_per_second, BURST_S * requests_per_second)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        started = False
-
-        async def send_with_headers(message: Message) -> None:
-            nonlocal started
-            if message["type"] == "http.response.start":
-                started = True
-                MutableHeaders(scope=message).update(HEADERS)
-            await send(message)
-
-        address = scope["client"][0] if scope.get("client") else ""
-        if not self._rate.allows(address):
-            await JSONResponse({"error": "Too many requests."}, 429)(scope, receive, send_with_headers)
-            return
+    async def respond(request: Request, call_next: RequestResponseEndpoint) -> Response:
         try:
-            await self._app(scope, receive, send_with_headers)
-        except Exception as error:
-            if started:
-                raise
-            status = _log_error(scope, error)
-            await JSONResponse({"error": FAILED}, status)(scope, receive, send_with_headers)
+            if rate.allows(request.client.host if request.client else ""):
+                response = await call_next(request)
+            else:
+                response = JSONResponse({"error": "Too many requests."}, 429)
+        except sqlite3.Error as error:  # a full disk, or a file that another program locks
+            log.error("%s %r: the answer file: %s", request.method, request.url.path, error)
+            response = JSONResponse({"error": FAILED}, 503)
+        except Exception as error:  # details are logged, not sent
+            log.error("%s %r", request.method, request.url.path, exc_info=error)
+            response = JSONResponse({"error": FAILED}, 500)
+        response.headers.update(HEADERS)
+        return response
 
-
-def _log_error(scope: Scope, error: Exception) -> int:
-    """Log an error of the server, whose details are not sent, and return its HTTP status."""
-    if isinstance(error, sqlite3.Error):  # a full disk, or a file that another program locks
-        log.error("%s %r: the answer file: %s", scope["method"], scope["path"], error)
-        return 503
-    log.error("%s %r", scope["method"], scope["path"], exc_info=error)
-    return 500
+    return respond
 
 
 async def _read_json(request: Request) -> Any:
@@ -127,7 +107,7 @@ async def _read_json(request: Request) -> Any:
         RefusedError: It is too large, not JSON, or sent by another site.
     """
     origin = request.headers.get("origin")
-    if origin is not None and not _is_same_site(request.headers.get("host"), origin):
+    if origin is not None and origin.partition("://")[2] != request.headers.get("host"):
         raise RefusedError(403, "This request comes from another site.")
     if request.headers.get("content-type", "").split(";")[0] != "application/json":
         raise RefusedError(415, "This is not JSON.")
@@ -140,13 +120,6 @@ async def _read_json(request: Request) -> Any:
         return json.loads(body)
     except (ValueError, RecursionError) as error:
         raise RefusedError(400, "This is not JSON.") from error
-
-
-def _is_same_site(host: str | None, origin: str) -> bool:
-    try:
-        return urlsplit(origin).netloc == host
-    except ValueError:  # not an address
-        return False
 
 
 def make_app(sessions: Sessions, welcome: str, limits: Limits) -> Starlette:
@@ -168,17 +141,13 @@ def make_app(sessions: Sessions, welcome: str, limits: Limits) -> Starlette:
         Route("/media/{position:int}/{kind}", pages.media),
         Mount("/web", StaticFiles(directory=WEB)),
     ]
-    handlers: dict[Any, Any] = {RefusedError: _on_refused, BadAnswerError: _on_bad_answer}
-    guards = Middleware(Guards, requests_per_second=limits.requests_per_second)
+    handlers: dict[Any, Any] = {RefusedError: _on_refused}
+    guards = Middleware(BaseHTTPMiddleware, dispatch=_guards(limits.requests_per_second))
     return Starlette(routes=routes, exception_handlers=handlers, middleware=[guards])
 
 
 async def _on_refused(request: Request, error: RefusedError) -> Response:
     return JSONResponse({"error": error.reason}, error.status)
-
-
-async def _on_bad_answer(request: Request, error: BadAnswerError) -> Response:
-    return JSONResponse({"error": f"This is not an answer: {error}."}, 422)
 
 
 class _Pages:
@@ -270,53 +239,35 @@ def _check_platform_id(value: Any) -> str | None:
     return value
 
 
-def serve(
-    experiments: StudyExperiments,
-    *,
-    welcome: Path | None,
-    limits: Limits,
-    host: str,
-    port: int,
-    trusted_proxies: str,
-    workers: int,
-) -> None:
-    """Serve a study until it is interrupted.
+def serve(app: Starlette, listener: socket.socket, trusted_proxies: str) -> None:
+    """Serve an application until it is interrupted.
 
     Args:
-        experiments: The study.
-        welcome: Markdown file with the text of the first page, None for the package's.
-        limits: Limits of one address.
-        host: Address to listen on.
-        port: Port to listen on.
+        app: See `make_app`.
+        listener: See `listen`.
         trusted_proxies: Addresses whose X-Forwarded-* headers are trusted.
-        workers: Processes that draw images.
     """
-    text, path = welcome_text(welcome, experiments.settings), experiments.directory / ANSWERS
-    with listen(host, port) as listener, exclusive(path), closing(AnswerStore(path)) as store:
-        experiments.draw_missing(workers=workers)
-        config = uvicorn.Config(
-            make_app(Sessions(store, experiments, PERSON), text, limits),
-            forwarded_allow_ips=trusted_proxies,
-            limit_concurrency=MAX_CONNECTIONS,
-            timeout_keep_alive=KEEP_ALIVE_S,
-            access_log=False,
-            server_header=False,
-            log_config=None,
-        )
-        address, number, *_ = listener.getsockname()
-        log.info("study %s on http://%s:%d/; answers: %s", experiments.study_id, address, number, path.parent)
-        with suppress(KeyboardInterrupt):  # uvicorn has shut down by then
-            uvicorn.Server(config).run(sockets=[listener])
+    config = uvicorn.Config(
+        app,
+        forwarded_allow_ips=trusted_proxies,
+        limit_concurrency=MAX_CONNECTIONS,
+        timeout_keep_alive=KEEP_ALIVE_S,
+        access_log=False,
+        server_header=False,
+        log_config=None,
+    )
+    with suppress(KeyboardInterrupt):  # uvicorn has shut down by then
+        uvicorn.Server(config).run(sockets=[listener])
 
 
-def welcome_text(path: Path | None, settings: StudySettings) -> str:
+def welcome_text(path: str | None, settings: StudySettings) -> str:
     """Return the Markdown of the first page with {seconds} and {minutes} filled in.
 
     Raises:
         CophyError: The file is not text.
     """
     try:
-        text = (path or WEB / "text" / "welcome.md").read_text(encoding="utf-8")
+        text = Path(path or WEB / "text" / "welcome.md").read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise CophyError(f"welcome={path} is not text: save it as UTF-8 ({error.reason})") from error
     tasks = settings.num_tasks + len(SETTINGS)  # one practice task of each setting

@@ -1,4 +1,4 @@
-"""Where participants are in a study, and what may come next. The server decides about time and order; browsers only ask."""
+"""Progress of participants: their tasks, clocks and answers. The server decides about time and order; browsers only ask."""
 
 import hashlib
 import hmac
@@ -6,10 +6,9 @@ import json
 import secrets
 import sqlite3
 import time
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
-from cophy.study.answers import Answer, AnswerStore, parse_answer
+from cophy.study.answers import AnswerStore, RefusedError, check_answer
 from cophy.study.experiments import StudyExperiments
 from cophy.study.plan import StudyTask
 
@@ -21,15 +20,7 @@ WITH taken AS (SELECT number FROM participants WHERE study=? AND kind=?)
 SELECT min(number) FROM (SELECT 0 AS number UNION ALL SELECT number + 1 FROM taken)
 WHERE number NOT IN (SELECT number FROM taken)
 """
-OF_TOKEN = "SELECT id, number, code, platform_hash FROM participants WHERE token_hash=? AND study=? AND kind=?"
-
-
-class RefusedError(Exception):
-    """A request that is not allowed; `status` is the HTTP status of the response."""
-
-    def __init__(self, status: int, reason: str) -> None:
-        super().__init__(reason)
-        self.status, self.reason = status, reason
+PARTICIPANT = "SELECT id, number, code, platform_hash FROM participants WHERE token_hash=? AND study=? AND kind=?"
 
 
 class Place(NamedTuple):
@@ -77,7 +68,7 @@ class Sessions:
         token, platform_hash = token or secrets.token_urlsafe(NUM_TOKEN_BYTES), self._platform_hash(platform_id)
         of_study = (self.study, self.kind)
         with self.store.transaction() as db:
-            if db.execute(OF_TOKEN, (_hash(token), *of_study)).fetchone():
+            if db.execute(PARTICIPANT, (_hash(token), *of_study)).fetchone():
                 return token
             same_id = "SELECT 1 FROM participants WHERE study=? AND kind=? AND platform_hash=?"
             if platform_hash and db.execute(same_id, (*of_study, platform_hash)).fetchone():
@@ -124,37 +115,34 @@ class Sessions:
         Args:
             token: Token of the session.
             position: Index of the task.
-            body: Decoded JSON, see `parse_answer`.
+            body: Decoded JSON, see `check_answer`.
 
         Raises:
-            RefusedError: It is not the current task, its clock has not begun, or its time is over.
-            BadAnswerError: It is not an answer.
+            RefusedError: It is not an answer or not the current task, its clock has not begun, or its time is over.
         """
         with self.store.transaction() as db:
             place = self._place(db, token)
             if 0 <= position < place.position:
                 query = "SELECT digest FROM answers WHERE participant=? AND position=?"
-                (stored,) = db.execute(query, (place.participant, position)).fetchone()
-                if stored is None or stored != _digest(self._parse(body, place.tasks[position])):
+                (digest,) = db.execute(query, (place.participant, position)).fetchone()
+                if digest != _hash(json.dumps(body, sort_keys=True)):
                     raise RefusedError(409, "This task was answered already, or its time is over.")
                 return place.tasks[position]
             _check_current(place, position)
             if place.remaining_s is None:
                 raise RefusedError(409, "The clock of this task has not begun.")
-            self._write(db, place, self._parse(body, place.tasks[position]))
+            slots = self.experiments.scenes.slots(place.tasks[position].experiment)
+            last_ms = round(1000 * (self.settings.seconds + self.settings.tolerance_s))
+            check_answer(body, slots=slots, resolution=self.settings.resolution, last_ms=last_ms)
+            self._write(db, place, body)
             return place.tasks[position]
 
     def _platform_hash(self, platform_id: str | None) -> str | None:
         key = self.study.encode()
         return None if platform_id is None else hmac.new(key, platform_id.encode(), hashlib.sha256).hexdigest()
 
-    def _parse(self, body: Any, task: StudyTask) -> Answer:
-        last_ms = round(1000 * (self.settings.seconds + self.settings.tolerance_s))
-        slots = self.experiments.scenes.slots(task.experiment)
-        return parse_answer(body, slots=slots, resolution=self.settings.resolution, last_ms=last_ms)
-
     def _place(self, db: sqlite3.Connection, token: str | None, platform_id: str | None = None) -> Place:
-        row = db.execute(OF_TOKEN, (_hash(token or ""), self.study, self.kind)).fetchone()
+        row = db.execute(PARTICIPANT, (_hash(token or ""), self.study, self.kind)).fetchone()
         if row is None or (platform_id and row["platform_hash"] != self._platform_hash(platform_id)):
             raise RefusedError(401, "There is no such session.")
         tasks = self.experiments.tasks(row["number"])
@@ -180,20 +168,22 @@ class Sessions:
         (begun_at,) = db.execute(query, (participant, position)).fetchone()
         return None if begun_at is None else self.settings.seconds - (self.now() - begun_at)
 
-    def _write(self, db: sqlite3.Connection, place: Place, answer: Answer | None) -> None:
+    def _write(self, db: sqlite3.Connection, place: Place, answer: dict[str, Any] | None) -> None:
         """Store the answer to the current task; None is an answer that did not come in time."""
         key, now = (place.participant, place.position), self.now()
         details: tuple[object, ...] = (None,) * 6
+        clicks: dict[int, tuple[object, ...]] = {}
         if answer is not None:
-            details = (answer.undone, answer.names_shown, answer.input, *answer.window, _digest(answer))
+            digest = _hash(json.dumps(answer, sort_keys=True))
+            details = (answer["undone"], answer["names_shown"], answer["input"], *answer["window"], digest)
+            clicks = {click["slot"]: (click["x"], click["y"], click["at_ms"]) for click in answer["clicks"]}
         db.execute(
             "UPDATE answers SET answered_at=?, late=?, undone=?, names_shown=?, input=?, window_width=?, "
             "window_height=?, digest=? WHERE participant=? AND position=?",
             (now, answer is None, *details, *key),
         )
         for slot in sorted(self.experiments.scenes.slots(place.tasks[place.position].experiment)):
-            click = None if answer is None else answer.clicks.get(slot)
-            values = (None, None, None) if click is None else (click.x, click.y, click.at_ms)
+            values = clicks.get(slot, (None, None, None))
             db.execute("INSERT INTO clicks VALUES (?, ?, ?, ?, ?, ?)", (*key, slot, *values))
         if place.position + 1 == len(place.tasks):
             db.execute("UPDATE participants SET finished_at=? WHERE id=?", (now, place.participant))
@@ -204,9 +194,5 @@ def _check_current(place: Place, position: int) -> None:
         raise RefusedError(409, "This is not the current task.")
 
 
-def _hash(token: str) -> str:
-    return hashlib.sha256(token.encode()).hexdigest()
-
-
-def _digest(answer: Answer) -> str:
-    return hashlib.sha256(json.dumps(asdict(answer), sort_keys=True).encode()).hexdigest()
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

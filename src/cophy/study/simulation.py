@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from cophy.atomic_files import appearing_whole, write_atomically
 from cophy.errors import CophyError
-from cophy.study.answers import SIMULATED, AnswerStore, exclusive, naming_file, remove_journal
+from cophy.study.answers import SIMULATED, AnswerStore, exclusive, naming_file
 from cophy.study.experiments import Positions, Scenes, StudyExperiments
 from cophy.study.judging import REFERENCE_RESOLUTION, human_rows, read_judged
 from cophy.study.plan import StudyTask
@@ -39,11 +39,6 @@ def _click_at_random(scenes: Scenes, task: StudyTask, rng: np.random.Generator) 
     return {slot: (size * rng.random(), size * rng.random()) for slot in sorted(scenes.slots(task.experiment))}
 
 
-def _click_starts(scenes: Scenes, task: StudyTask, rng: np.random.Generator) -> Positions:
-    """Click where the objects are in C."""
-    return scenes.starts(task.experiment)
-
-
 def _click_as_in_ab(scenes: Scenes, task: StudyTask, rng: np.random.Generator) -> Positions:
     """With AB, move every object as in AB; without AB, click where it is in C."""
     return scenes.moved_as_in_ab(task.experiment) if task.setting == "cf" else scenes.starts(task.experiment)
@@ -60,7 +55,7 @@ def _click_near_ends(scenes: Scenes, task: StudyTask, rng: np.random.Generator) 
 HUMAN_LIKE = "noisy_oracle"  # the power is computed for participants of this kind
 STRATEGIES: Mapping[str, Strategy] = {
     "random": _click_at_random,
-    "stays": _click_starts,
+    "stays": lambda scenes, task, rng: scenes.starts(task.experiment),
     "as_in_ab": _click_as_in_ab,
     HUMAN_LIKE: _click_near_ends,
 }
@@ -83,7 +78,8 @@ def simulate(experiments: StudyExperiments, *, participants: int, workers: int) 
             for number, kind in enumerate(STRATEGIES):
                 seed = len(STRATEGIES) * experiments.settings.seed + number
                 take_study(Sessions(store, experiments, kind), participants, seed)
-        remove_journal(path)
+        for suffix in ("-wal", "-shm"):  # SQLite would apply the journal of the old file to the new one
+            path.with_name(f"{path.name}{suffix}").unlink(missing_ok=True)
     _, judged = read_judged(path, experiments)
     log.info("%s\nanswers: %s", human_rows(judged).round(2).to_string(), path)
 
