@@ -6,7 +6,6 @@ import logging
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -21,28 +20,22 @@ from cophy.dataset.replay import do_operation_of
 from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.released.formats import SEQUENCES, TASKS, CoPhyTask
+from cophy.released.formats import SEQUENCES, TASKS, ReleasedTask
 from cophy.scenario import Remove, Scenario, Shape
 from cophy.scenario.rendering import NO_OBJECT
 
 log = logging.getLogger(__name__)
 
 
-def _export_lists(arrays: dict[str, np.ndarray], task: CoPhyTask, num_objects: int) -> dict[str, np.ndarray]:
-    """Return the name of each list and its experiments, for a dataset whose A have this number of objects."""
+def _export_lists(arrays: dict[str, np.ndarray], task: ReleasedTask, num_objects: int) -> dict[str, bytes]:
+    """Return the name and the content of each list, for a dataset whose A have this number of objects."""
     lists = {}
     for kind in task.kinds:
         train, test = _parts(kind, num_objects)
-        for split in SPLITS:
-            part = test if split == "test" else train
-            rows = part.select_split(arrays, split)
-            lists[task.list_of(split, num_objects, kind)] = np.flatnonzero(rows)
+        for split, part in zip(SPLITS, (train, train, test), strict=True):
+            rows = np.flatnonzero(part.select_split(arrays, split)).tolist()
+            lists[task.list_of(split, num_objects, kind)] = "".join(f"{row}\n" for row in rows).encode()
     return lists
-
-
-def _list_text(rows: np.ndarray) -> bytes:
-    """Return the content of a list."""
-    return "".join(f"{row}\n" for row in rows.tolist()).encode()
 
 
 def _parts(kind: str, num_objects: int) -> tuple[Part, Part]:
@@ -62,63 +55,77 @@ BOX_PX = 224  # boxes are in pixels of an image of this size
 MIN_UPRIGHT = 0.7  # z component of the axis of an upright cylinder; 0 for one that lies down
 
 
-@dataclass(frozen=True)
-class ExportedExperiment:
-    """One experiment: a row of its dataset's arrays, and rgb, segmentation and boxes of AB and CD (None: states only)."""
+class _Experiment:
+    """One experiment of a dataset, written in the released format.
 
-    scenario: Scenario
-    arrays: dict[str, np.ndarray]
-    row: int
-    pictures: dict[str, np.ndarray] | None
+    Args:
+        scenario: its scenario.
+        arrays: arrays of the dataset.
+        row: its index.
+        pictures: rgb, segmentation and boxes of AB and CD; None for states only.
+    """
 
-    @property
-    def task(self) -> CoPhyTask:
-        """Description of the files of its task."""
-        return TASKS[self.scenario.name]
+    def __init__(
+        self, scenario: Scenario, arrays: dict[str, np.ndarray], row: int, pictures: dict[str, np.ndarray] | None
+    ) -> None:
+        self.scenario, self.task, self.pictures = scenario, TASKS[scenario.name], pictures
+        self.arrays = {name: array[row] for name, array in arrays.items()}
+        self.do_operation = do_operation_of(arrays, row, scenario)
+        self.colors = list(scenario.colors)
 
+    def write(self, directory: Path) -> None:
+        """Write all files into its folder."""
+        for sequence, name in enumerate(SEQUENCES):
+            (directory / name).mkdir()
+            self._write_sequence(directory / name, sequence)
+        confounders = np.stack([self.arrays[name] for name in self.task.confounders], axis=-1)
+        _write_array(directory / "confounders.npy", confounders)
+        if self.task.has_gravity:
+            x, y, _ = self.arrays["gravity"].tolist()
+            (directory / "gravity.txt").write_text(f"gravity_x={x:g} gravity_y={y:g}\n")
+        else:
+            (directory / "explanations.txt").write_text(self._explanation())
 
-def _write_experiment(directory: Path, experiment: ExportedExperiment) -> None:
-    """Write all files of an experiment into its folder."""
-    for sequence, name in enumerate(SEQUENCES):
-        (directory / name).mkdir()
-        _write_sequence(directory / name, experiment, sequence)
-    arrays, row, task = experiment.arrays, experiment.row, experiment.task
-    confounders = np.stack([arrays[name][row] for name in task.confounders], axis=-1).astype(np.float64)
-    _write_array(directory / "confounders.npy", confounders)
-    if task.has_gravity:
-        x, y, _ = arrays["gravity"][row].tolist()
-        (directory / "gravity.txt").write_text(f"gravity_x={x:g} gravity_y={y:g}\n")
-    else:
-        (directory / "explanations.txt").write_text(_explanation(experiment))
+    def _write_sequence(self, directory: Path, sequence: int) -> None:
+        clock, pictures = self.scenario.clock, self.pictures
+        length = min(clock.num_frames, self.task.max_frames or clock.num_frames)
+        _write_array(directory / "states.npy", self.arrays["states"][sequence, :: clock.states_per_frame][:length])
+        (directory / "colors.txt").write_text(self.task.colors_header + "".join(self._color_lines(sequence)))
+        if pictures is None:
+            return
+        boxes = pictures["boxes"][sequence, :length].astype(np.float64)
+        _write_array(directory / "bboxes.npy", np.where(boxes < 0, 0.0, boxes * BOX_PX / pictures["rgb"].shape[-2]))
+        palette = np.zeros((NO_OBJECT + 1, 3), dtype=np.uint8)  # black where there is no object
+        palette[: self.scenario.num_slots] = [ImageColor.getrgb(color) for color in self.scenario.colors.values()]
+        segmentation = palette[pictures["segmentation"][sequence, :length]]
+        _write_clip(directory / "rgb.mp4", pictures["rgb"][sequence, :length], clock.frame_rate_hz)
+        _write_clip(directory / "segm.mp4", segmentation, clock.frame_rate_hz)
 
+    def _color_lines(self, sequence: int) -> Iterator[str]:
+        """Yield a line per object in the scenario's order, with its type where the task has several."""
+        order = self.arrays["object_index"]
+        for slot in sorted(np.flatnonzero(self.arrays["presence"][sequence]).tolist(), key=lambda slot: order[slot]):
+            yield f"{f'type={self._type(slot)} ' if self.task.shape is None else ''}color={self.colors[slot]}\n"
 
-def _write_sequence(directory: Path, experiment: ExportedExperiment, sequence: int) -> None:
-    clock, pictures = experiment.scenario.clock, experiment.pictures
-    length = min(clock.num_frames, experiment.task.max_frames or clock.num_frames)
-    states = experiment.arrays["states"][experiment.row, sequence, :: clock.states_per_frame][:length]
-    _write_array(directory / "states.npy", states.astype(np.float64))
-    (directory / "colors.txt").write_text(_colors(experiment, sequence))
-    if pictures is None:
-        return
-    boxes = pictures["boxes"][sequence, :length].astype(np.float64)
-    _write_array(directory / "bboxes.npy", np.where(boxes < 0, 0.0, boxes * BOX_PX / pictures["rgb"].shape[-2]))
-    segmentation = _palette(experiment.scenario)[pictures["segmentation"][sequence, :length]]
-    _write_clip(directory / "rgb.mp4", pictures["rgb"][sequence, :length], clock.frame_rate_hz)
-    _write_clip(directory / "segm.mp4", segmentation, clock.frame_rate_hz)
+    def _type(self, slot: int) -> str:
+        if self.arrays["shape"][slot] == Shape.SPHERE:
+            return "sphere"
+        x, y = self.arrays["states"][0, 0, slot, 3:5]
+        return "cylinder_up" if abs(1 - 2 * (x * x + y * y)) > MIN_UPRIGHT else "cylinder_down"
+
+    def _explanation(self) -> str:
+        color = self.colors[self.do_operation.slot]
+        if isinstance(self.do_operation, Remove):
+            return f"the {color} object is removed\n"
+        x, y, z = self.do_operation.offset_m
+        return f"the {color} object is displaced by x={x:.4f} y={y:.4f} z={z:.4f}\n"
 
 
 def _write_array(path: Path, array: np.ndarray) -> None:
-    """Write a .npy file; on a full disk np.save itself raises an error without the reason."""
+    """Write a .npy file of float64; on a full disk np.save itself raises an error without the reason."""
     file = io.BytesIO()
-    np.save(file, array)
+    np.save(file, array.astype(np.float64))
     path.write_bytes(file.getvalue())
-
-
-def _palette(scenario: Scenario) -> np.ndarray:
-    """Return the colour of each slot, (256, 3) uint8; black where there is no object."""
-    palette = np.zeros((NO_OBJECT + 1, 3), dtype=np.uint8)
-    palette[: scenario.num_slots] = [ImageColor.getrgb(color) for color in scenario.colors.values()]
-    return palette
 
 
 def _write_clip(path: Path, frames: np.ndarray, frames_per_second: int) -> None:
@@ -132,32 +139,6 @@ def _write_clip(path: Path, frames: np.ndarray, frames_per_second: int) -> None:
         writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
     writer.release()
     check_space(path)
-
-
-def _colors(experiment: ExportedExperiment, sequence: int) -> str:
-    """Return a line per object in the scenario's order, with its type where the task has several."""
-    arrays, row, task = experiment.arrays, experiment.row, experiment.task
-    names, order = list(experiment.scenario.colors), arrays["object_index"][row]
-    present = sorted(np.flatnonzero(arrays["presence"][row, sequence]).tolist(), key=lambda slot: order[slot])
-    types = {slot: f"type={_type(experiment, slot)} " if task.shape is None else "" for slot in present}
-    return task.colors_header + "".join(f"{types[slot]}color={names[slot]}\n" for slot in present)
-
-
-def _type(experiment: ExportedExperiment, slot: int) -> str:
-    arrays, row = experiment.arrays, experiment.row
-    if arrays["shape"][row, slot] == Shape.SPHERE:
-        return "sphere"
-    x, y = arrays["states"][row, 0, 0, slot, 3:5]
-    return "cylinder_up" if abs(1 - 2 * (x * x + y * y)) > MIN_UPRIGHT else "cylinder_down"
-
-
-def _explanation(experiment: ExportedExperiment) -> str:
-    operation = do_operation_of(experiment.arrays, experiment.row, experiment.scenario)
-    color = list(experiment.scenario.colors)[operation.slot]
-    if isinstance(operation, Remove):
-        return f"the {color} object is removed\n"
-    x, y, z = operation.offset_m
-    return f"the {color} object is displaced by x={x:.4f} y={y:.4f} z={z:.4f}\n"
 
 
 EXPORT_VERSION = 1  # raise it when the exported files change
@@ -191,16 +172,12 @@ def export(states: States, images: Images | None, root: Path) -> Path:
             shutil.rmtree(leftover)
         missing = [row for row in range(len(arrays["split"])) if not (folder / str(row)).exists()]
         for row, pictures in ((row, None) for row in missing) if images is None else _read_images(images, missing):
-            _write_folder(folder / str(row), ExportedExperiment(spec.scenario, arrays, row, pictures))
+            _write_folder(folder / str(row), _Experiment(spec.scenario, arrays, row, pictures))
     (root / "splits").mkdir(exist_ok=True)
-    for name, rows in lists.items():
-        write_atomically(root / "splits" / name, _list_text(rows))
-    log.info(
-        "%s: %d experiments; train on them with\n    %s",
-        folder,
-        len(arrays["split"]),
-        _training_command(spec.scenario, root),
-    )
+    for name, text in lists.items():
+        write_atomically(root / "splits" / name, text)
+    command = _training_command(spec.scenario, root)
+    log.info("%s: %d experiments; train on them with\n    %s", folder, len(arrays["split"]), command)
     return folder
 
 
@@ -216,7 +193,7 @@ def _training_command(scenario: Scenario, root: Path) -> str:
     return f"python src/train.py source=cophy source.root={root} scenario={scenario.name} {' '.join(lists)} {view}"
 
 
-def _claim(folder: Path, states: States, images: Images | None, splits: Path, lists: dict[str, np.ndarray]) -> None:
+def _claim(folder: Path, states: States, images: Images | None, splits: Path, lists: dict[str, bytes]) -> None:
     """Mark the folder as the export of this dataset, or refuse one that holds anything else."""
     pictures = None if images is None else images.name
     content = {"format": EXPORT_VERSION, "dataset": states.id, "pictures": pictures}
@@ -228,8 +205,8 @@ def _claim(folder: Path, states: States, images: Images | None, splits: Path, li
     if not ours:
         expected = f"{states.id} {'without images' if pictures is None else f'with {pictures}'}"
         raise CophyError(f"{folder} holds other data than {expected}: choose another root=")
-    for name, rows in lists.items():
-        if (splits / name).exists() and read_plain(splits / name) != _list_text(rows):
+    for name, text in lists.items():
+        if (splits / name).exists() and read_plain(splits / name) != text:
             raise CophyError(f"{splits / name} is a list of other data: choose another root=")
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(marker, (json.dumps(content) + "\n").encode())
@@ -253,12 +230,12 @@ def _read_images(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[st
                     advance_to(done)
 
 
-def _write_folder(path: Path, experiment: ExportedExperiment) -> None:
+def _write_folder(path: Path, experiment: _Experiment) -> None:
     """Write the folder of an experiment as a whole or not at all."""
     temporary = path.with_name(f".{path.name}.tmp")
     try:
         temporary.mkdir()
-        _write_experiment(temporary, experiment)
+        experiment.write(temporary)
         os.replace(temporary, path)
     finally:  # free the space on a full disk
         shutil.rmtree(temporary, ignore_errors=True)

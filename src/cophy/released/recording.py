@@ -1,14 +1,13 @@
-"""One released experiment: the protocol of formats that read it, its content, and checks that it is consistent."""
+"""One released experiment: its content, and checks that it is consistent."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from cophy.dataset.fields import CONFOUNDERS_OF_OBJECTS
-from cophy.dataset.splits import Split
 from cophy.scenario import Scenario
+from cophy.scenario.confounders import ConfounderGrid
 
 # ours, in the unit of each confounder (kg, m/s²; friction and restitution have none). Released values are 0.4 or more
 # apart, and their noise is below 0.001 (0.0997877 for 0.1)
@@ -29,56 +28,17 @@ class Recording:
         states: (2, T, slot, 13) AB and CD, absent objects zero.
         shape: (slot,) codes of `Shape`.
         order: (slot,) place from bottom to top or in the files, -1 where empty.
-        mass: (slot,) kg, NaN where the files do not contain it.
-        friction: (slot,), NaN likewise.
-        restitution: (slot,), NaN likewise.
+        confounders: (slot, 3) mass (kg), friction, restitution; NaN where the files do not contain them.
         gravity_xy: (2,) m/s², NaN likewise.
-        clip_frames: number of frames of the RGB clips of AB and CD, 0 where there is none.
+        has_clips: whether AB and CD have RGB clips.
     """
 
     states: np.ndarray
     shape: np.ndarray
     order: np.ndarray
-    mass: np.ndarray
-    friction: np.ndarray
-    restitution: np.ndarray
+    confounders: np.ndarray
     gravity_xy: np.ndarray
-    clip_frames: tuple[int, int]
-
-
-class ReleasedFormat(Protocol):
-    """The layout of a released dataset on disk.
-
-    Attributes:
-        name: value of `source=`.
-        frame_step: number of states, and frames of a clip, per frame that is read.
-        lists_by_shape: whether splits by the moving object's shape have lists of their own.
-    """
-
-    name: str
-    frame_step: int
-    lists_by_shape: bool
-
-    def directory(self, root: Path, scenario: Scenario, num_objects: int) -> Path:
-        """Return the folder whose subfolders are the experiments, below the root of the released dataset."""
-        ...
-
-    def list_names(self, scenario: Scenario, num_objects: int, split: Split, part: str) -> list[str]:
-        """Return the names that a list of ids may have. part: train, val or test.
-
-        Raises:
-            CophyError: the format has no lists for this split.
-        """
-        ...
-
-    def read(self, directory: Path, scenario: Scenario) -> Recording:
-        """Read one experiment.
-
-        Raises:
-            BrokenFileError: a file is not what the format says.
-            BrokenExperimentError: the files contradict each other or the scenario.
-        """
-        ...
+    has_clips: list[bool]
 
 
 def to_row(recording: Recording, scenario: Scenario, num_objects: int) -> dict[str, Any]:
@@ -98,20 +58,21 @@ def to_row(recording: Recording, scenario: Scenario, num_objects: int) -> dict[s
     if np.abs(norm - 1).max() > UNIT_TOLERANCE:
         raise BrokenExperimentError("columns 3 to 6 of states.npy are not unit quaternions")
     grid = scenario.confounders
+    confounders = {
+        name: _snap(name, values, getattr(grid, name), presence[0])
+        for name, values in zip(CONFOUNDERS_OF_OBJECTS, recording.confounders.T, strict=True)
+    }
     slot, offset = _do_operation(recording.states, presence)
     return {
         "states": recording.states,
         "presence": presence,
         "shape": np.where(presence[0], recording.shape, 0),
         "object_index": np.where(presence[0], recording.order, -1),
-        **{
-            name: _snap(name, getattr(recording, name), getattr(grid, name), presence[0])
-            for name in CONFOUNDERS_OF_OBJECTS
-        },
-        "gravity": (*_snap_gravity(recording.gravity_xy, scenario), scenario.gravity_z),
+        **confounders,
+        "gravity": (*_snap_gravity(recording.gravity_xy, grid), scenario.gravity_z),
         "do_slot": slot,
         "do_offset": offset,
-        "clip": np.array(recording.clip_frames) > 0,
+        "clip": recording.has_clips,
     }
 
 
@@ -128,18 +89,16 @@ def _snap(name: str, values: np.ndarray, grid: list[float], present: np.ndarray)
     nearest = _nearest(values, grid)
     wrong = present & (np.abs(values - nearest) > SNAP_TOLERANCE)
     if wrong.any():
-        listed = ", ".join(f"{value:g}" for value in grid)
-        message = f"{name} {values[wrong][0]:g} is not among {listed}: see scenario.confounders.{name}"
-        raise BrokenExperimentError(message)
+        listed = f"{values[wrong][0]:g} is not among {', '.join(f'{value:g}' for value in grid)}"
+        raise BrokenExperimentError(f"{name} {listed}: see scenario.confounders.{name}")
     return np.where(present, np.where(np.isnan(values), np.nan, nearest), 0.0)
 
 
-def _snap_gravity(gravity_xy: np.ndarray, scenario: Scenario) -> np.ndarray:
+def _snap_gravity(gravity_xy: np.ndarray, grid: ConfounderGrid) -> np.ndarray:
     """Return (2,) on the grid, or NaN where the files hold other values, which may not be gravity at all."""
-    grids = (scenario.confounders.gravity_x, scenario.confounders.gravity_y)
-    nearest = [_nearest(np.array([value]), grid)[0] for value, grid in zip(gravity_xy, grids, strict=True)]
-    on_grid = np.abs(gravity_xy - nearest).max() <= SNAP_TOLERANCE
-    return np.array(nearest) if on_grid else np.full(2, np.nan)
+    nearest = np.concatenate([_nearest(gravity_xy[:1], grid.gravity_x), _nearest(gravity_xy[1:], grid.gravity_y)])
+    is_on_grid = np.abs(gravity_xy - nearest).max() <= SNAP_TOLERANCE
+    return nearest if is_on_grid else np.full(2, np.nan)
 
 
 def _nearest(values: np.ndarray, grid: list[float]) -> np.ndarray:

@@ -10,18 +10,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError
-from cophy.released.recording import ReleasedFormat
+from cophy.released.formats import ReleasedFormat
 from cophy.scenario import Scenario
 from cophy.untrusted_files import BrokenFileError, read_text
 
 INDEX_VERSION = 1  # raise it when the arrays of an index, or how they are read, change
 EXPERIMENTS_PER_SHARD = 500  # ours: a few MiB of states
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # no path to another folder
-UNLISTED = 255
 
 
 @dataclass(frozen=True)
@@ -80,9 +77,8 @@ def list_experiments(directory: Path) -> tuple[str, ...]:
         with os.scandir(directory) as entries:
             names = [e.name for e in entries if e.is_dir(follow_symlinks=False) and ID.fullmatch(e.name)]
     except OSError as error:
-        raise CophyError(
-            f"{directory} cannot be listed ({error.strerror}): source.root= is the folder that holds ballsCF, blocktowerCF, …"
-        ) from error
+        remedy = "source.root= is the folder that holds ballsCF, blocktowerCF, …"
+        raise CophyError(f"{directory} cannot be listed ({error.strerror}): {remedy}") from error
     if not names:
         raise CophyError(f"{directory} holds no experiments")
     return tuple(sorted(names, key=lambda name: (not name.isdigit(), int(name) if name.isdigit() else 0, name)))
@@ -100,15 +96,6 @@ class Lists:
         """Eight hexadecimal digits of a hash of the ids."""
         return hashlib.sha256(repr(self.ids).encode()).hexdigest()[:8]
 
-    def split_of(self, ids: Sequence[str]) -> np.ndarray:
-        """Return the index into SPLITS of each experiment, or UNLISTED: (experiment,) uint8."""
-        splits = {name: split for split, names in enumerate(self.ids) for name in names}
-        return np.array([splits.get(name, UNLISTED) for name in ids], dtype=np.uint8)
-
-    def num_missing(self, ids: Sequence[str]) -> int:
-        """Return how many listed experiments are not among these."""
-        return len({name for names in self.ids for name in names} - set(ids))
-
 
 def read_lists(directories: Sequence[Path], names: Sequence[Sequence[str]]) -> Lists:
     """Read the lists of train, val and test, each from the first file that has one of its names.
@@ -116,7 +103,15 @@ def read_lists(directories: Sequence[Path], names: Sequence[Sequence[str]]) -> L
     Raises:
         CophyError: a list is missing or broken, or an id is in two of them.
     """
-    paths = tuple(_find_list(directories, candidates) for candidates in names)
+    paths = []
+    for candidates in names:
+        path = next((d / name for d in directories for name in candidates if (d / name).exists()), None)
+        if path is None:
+            raise CophyError(
+                f"there is no {' or '.join(candidates)} in {' or '.join(map(str, directories))}: put the released lists of "
+                "ids there, or name their folder with source.splits="
+            )
+        paths.append(path)
     ids = tuple(_read_list(path) for path in paths)
     for first, second in ((0, 1), (0, 2), (1, 2)):
         if shared := set(ids[first]) & set(ids[second]):
@@ -124,25 +119,15 @@ def read_lists(directories: Sequence[Path], names: Sequence[Sequence[str]]) -> L
                 f"{paths[first]} and {paths[second]} share {len(shared)} ids, for example {min(shared)}: "
                 f"{SPLITS[second]} experiments must not be among those of {SPLITS[first]}"
             )
-    return Lists(ids, paths)
-
-
-def _find_list(directories: Sequence[Path], names: Sequence[str]) -> Path:
-    for path in (directory / name for directory in directories for name in names):
-        if path.exists():
-            return path
-    raise CophyError(
-        f"there is no {' or '.join(names)} in {' or '.join(map(str, directories))}: put the released lists of ids there, "
-        "or name their folder with source.splits="
-    )
+    return Lists(ids, tuple(paths))
 
 
 def _read_list(path: Path) -> tuple[str, ...]:
     try:
-        lines = read_text(path.resolve()).splitlines()
+        lines = [line.strip() for line in read_text(path.resolve()).splitlines()]
     except BrokenFileError as error:
         raise CophyError(str(error)) from error
     for number, line in enumerate(lines, start=1):
-        if line.strip() and not ID.fullmatch(line.strip()):
-            raise CophyError(f"{path}, line {number}: {line.strip()[:60]!r} is not the id of an experiment")
-    return tuple(dict.fromkeys(line.strip() for line in lines if line.strip()))
+        if line and not ID.fullmatch(line):
+            raise CophyError(f"{path}, line {number}: {line[:60]!r} is not the id of an experiment")
+    return tuple(dict.fromkeys(filter(None, lines)))

@@ -21,9 +21,9 @@ from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import SPLITS, Split
 from cophy.errors import CophyError
-from cophy.released.formats import FORMATS, SEQUENCES
-from cophy.released.recording import BrokenExperimentError, ReleasedFormat, to_row
-from cophy.released.spec import UNLISTED, Lists, ReleasedSpec, list_experiments, read_lists
+from cophy.released.formats import FORMATS, SEQUENCES, ReleasedFormat
+from cophy.released.recording import BrokenExperimentError, to_row
+from cophy.released.spec import Lists, ReleasedSpec, list_experiments, read_lists
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import RenderSettings
 from cophy.untrusted_files import BrokenFileError, open_clip
@@ -153,16 +153,13 @@ def _report_problems(problems: list[str], spec: ReleasedSpec, directory: Path) -
         CophyError: no experiment is complete.
     """
     named = zip(spec.ids, problems, strict=True)
-    broken = [(name, problem) for name, problem in named if problem not in ("", EMPTY_FOLDER)]
-    empty = problems.count(EMPTY_FOLDER)
-    if empty:
+    broken = [f"{name}: {problem}" for name, problem in named if problem not in ("", EMPTY_FOLDER)]
+    if empty := problems.count(EMPTY_FOLDER):
         log.info("%s: %d empty folders are skipped", spec.directory, empty)
     if not broken:
         return
-    text = "".join(f"{name}: {problem}\n" for name, problem in broken)
-    write_atomically(directory / BROKEN_LIST, text.encode())
-    first = f"{broken[0][0]}: {broken[0][1]}"
-    message = f"{len(broken)} of {len(problems) - empty} experiments are broken, the first is {first}"
+    write_atomically(directory / BROKEN_LIST, "".join(f"{line}\n" for line in broken).encode())
+    message = f"{len(broken)} of {len(problems) - empty} experiments are broken, the first is {broken[0]}"
     if len(broken) + empty == len(problems):
         raise CophyError(f"{spec.directory}: {message}")
     log.warning("%s: %s; all are listed in %s", spec.directory, message, directory / BROKEN_LIST)
@@ -183,13 +180,14 @@ def _without_doubtful_gravity(arrays: Arrays, spec: ReleasedSpec) -> Arrays:
 
 def _select_listed(arrays: Arrays, spec: ReleasedSpec, lists: Lists) -> Arrays:
     """Return the listed experiments, with `split` and `seen`."""
+    splits = {name: split for split, names in enumerate(lists.ids) for name in names}
     ids = [spec.ids[index] for index in arrays["experiment"]]
-    split = lists.split_of(ids)
-    if missing := lists.num_missing(ids):
+    if missing := len(set(splits) - set(ids)):
         log.warning("%s: %d listed experiments are broken or missing", spec.directory, missing)
-    rows = split != UNLISTED
-    arrays = {name: array[rows] for name, array in arrays.items()} | {"split": split[rows]}
-    return arrays | {"seen": arrays["split"] != SPLITS.index("test")}
+    rows = [row for row, name in enumerate(ids) if name in splits]
+    split = np.array([splits[ids[row]] for row in rows], dtype=np.uint8)
+    arrays = {name: array[rows] for name, array in arrays.items()}
+    return arrays | {"split": split, "seen": split != SPLITS.index("test")}
 
 
 def _check_moving_shapes(arrays: Arrays, split: Split, lists: Lists) -> None:
@@ -256,17 +254,17 @@ class ReleasedClips:
     def _decode(self, experiment: int, sequence: int, times: range) -> Iterator[np.ndarray]:
         """Yield frames, (R, R, 3) uint8. Earlier frames are skipped one by one: a seek is not exact in every MP4."""
         path = self.spec.directory / self.spec.ids[experiment] / SEQUENCES[sequence] / self.name
-        step, position = self.spec.released_format.frame_step, 0
+        indices = [time * self.spec.released_format.frame_step for time in times]
         try:
             capture = open_clip(path)
         except BrokenFileError as error:
             raise CophyError(str(error)) from error
         try:
-            for index in (time * step for time in times):
-                for _ in range(index - position):
+            for index in range(indices[-1] + 1):
+                if index not in indices:
                     capture.grab()
+                    continue
                 success, frame = capture.read()
-                position = index + 1
                 if not success or frame.shape[0] != frame.shape[1]:
                     raise CophyError(f"{path} has no square frame {index}: download it again")
                 yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
