@@ -20,7 +20,7 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
 from cophy.scenario import Scenario, Shape
 from cophy.scenario.assignment import canonical_problems
-from cophy.scenario.physics import largest_energy_gain
+from cophy.scenario.physics import Scene, largest_energy_gain
 from cophy.scenario.search import SimulatedSearch
 from cophy.scenario.statics import Combinations, TowerStatics
 from cophy.scenario.towers import is_identifiable
@@ -35,22 +35,12 @@ EFFECT_ROUNDING_M = 1e-4  # stored states are rounded
 SAME_SCENE_M = 1e-4
 ABSENT_M = 1e3  # absent objects are placed this far from all others
 ROUNDING_TOLERANCE_M = 1e-5  # float32
-MAX_PENETRATION = (
-    0.05  # share of an object's size: Bullet needs it to turn the fastest balls (docs/benchmark/physics.md)
-)
+# share of an object's size: Bullet needs it to turn the fastest balls (docs/benchmark/physics.md)
+MAX_PENETRATION = 0.05
 MAX_ENERGY_GAIN = 0.01  # share of the energy, between two states, as conf/scenario/balls.yaml has it
 MIN_SETTLED = 0.98  # ours: not 1, because stored geometry is rounded and some combination may be at the edge
-SHARED_BY_TWINS = (
-    "twin",
-    "split",
-    "shape",
-    "object_index",
-    "presence",
-    "do_operation",
-    "do_slot",
-    "do_offset",
-    "background_seed",
-)
+SCENE_OF_TWINS = ("twin", "split", "shape", "object_index", "presence", "background_seed")
+SHARED_BY_TWINS = (*SCENE_OF_TWINS, "do_operation", "do_slot", "do_offset")
 
 
 @dataclass(frozen=True)
@@ -81,11 +71,8 @@ def check_all(name: str, wrong: list[int]) -> Check:
 def check_states(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     """Check that states are those of rigid bodies in this scene: finite, apart, in view, without gaining energy."""
     finite = bool(np.isfinite(arrays["states"]).all())
-    vacant = arrays["object_index"] < 0
-    unused = [
-        arrays["states"].swapaxes(2, 3)[~arrays["presence"]],
-        *(arrays[name][vacant] for name in CONFOUNDERS_OF_OBJECTS),
-    ]
+    unused = [arrays[name][arrays["object_index"] < 0] for name in CONFOUNDERS_OF_OBJECTS]
+    unused.append(arrays["states"].swapaxes(2, 3)[~arrays["presence"]])
     passed = finite and not any(values.any() for values in unused)
     yield Check("states are finite, empty slots zero", "yes" if passed else "no", passed)
     yield _check_configurations(arrays, spec)
@@ -103,10 +90,8 @@ def _check_configurations(arrays: Arrays, spec: DatasetSpec) -> Check:
     for row, configuration in enumerate(arrays["configuration"].tolist()):
         true = spec.scenario.confounders.decode(configuration, spec.num_objects)
         stored = [arrays[name][row, slots[row]] for name in CONFOUNDERS_OF_OBJECTS]
-        gravity = (*true.gravity_xy, spec.scenario.gravity_z)
-        if not np.allclose(stored, [true.mass, true.friction, true.restitution]) or not np.allclose(
-            arrays["gravity"][row], gravity
-        ):
+        same = np.allclose(stored, [true.mass, true.friction, true.restitution])
+        if not same or not np.allclose(arrays["gravity"][row], (*true.gravity_xy, spec.scenario.gravity_z)):
             wrong.append(row)
     return check_all("confounders match the configuration", wrong)
 
@@ -154,12 +139,17 @@ def _check_energy(arrays: Arrays, spec: DatasetSpec) -> Check:
     """Check that no impact adds more than MAX_ENERGY_GAIN."""
     largest, worst = 0.0, 0
     for row in range(len(arrays["states"])):
-        scene = scene_of(arrays, row, spec.scenario)
-        scenes = (scene, do_operation_of(arrays, row, spec.scenario).apply(scene))
-        gain = max(largest_energy_gain(s, t) for s, t in zip(scenes, trajectories_of(arrays, row), strict=True))
+        scenes, trajectories = scenes_of(arrays, row, spec.scenario), trajectories_of(arrays, row)
+        gain = max(map(largest_energy_gain, scenes, trajectories))
         if gain > largest:
             largest, worst = gain, row
     return Check("no sequence gains energy", f"at most {largest:.2%} (experiment {worst})", largest <= MAX_ENERGY_GAIN)
+
+
+def scenes_of(arrays: Arrays, row: int, scenario: Scenario) -> tuple[Scene, Scene]:
+    """Return the stored A and C of an experiment, with its confounders."""
+    scene = scene_of(arrays, row, scenario)
+    return scene, do_operation_of(arrays, row, scenario).apply(scene)
 
 
 def check_twins(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
@@ -205,19 +195,31 @@ def _check_held_out(arrays: Arrays, spec: DatasetSpec) -> Check:
 
 def check_shares(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     """Check that cells, do-operations and confounder values are as frequent as intended."""
-    scenario, count, grid = spec.scenario, len(arrays["twin"]), spec.scenario.confounders
+    scenario, count = spec.scenario, len(arrays["twin"])
     cells = len(scenario.blocks()[0])  # cells of the pairs that share a configuration
     yield _check_shares_of_cells(arrays, scenario)
     kinds = dict(enumerate(scenario.do_operations))
     yield check_equal_shares("do-operations", arrays["do_operation"], kinds, draws=count // (2 * cells))
+    yield from check_confounder_shares(arrays, scenario, cells)
+
+
+def check_confounder_shares(arrays: Arrays, scenario: Scenario, num_cells: int) -> Iterator[Check]:
+    """Check that the values of each known confounder are equally frequent.
+
+    Args:
+        arrays: arrays of the dataset.
+        scenario: its scenario.
+        num_cells: number of experiments, one per cell, that share a drawn configuration.
+    """
     present = arrays["object_index"] >= 0
-    # each drawn configuration serves one experiment per cell
-    for name in ("mass", "friction", "restitution"):
-        labels = {value: f"{value:g}" for value in getattr(grid, name)}
-        yield check_equal_shares(name, arrays[name][present], labels, draws=present.sum() // cells)
-    for axis, name in enumerate(("gravity_x", "gravity_y")):
-        labels = {value: f"{value:g}" for value in getattr(grid, name)}
-        yield check_equal_shares(name, arrays["gravity"][:, axis], labels, draws=count // cells)
+    confounders = {name: arrays[name][present] for name in CONFOUNDERS_OF_OBJECTS}
+    confounders |= {"gravity_x": arrays["gravity"][:, 0], "gravity_y": arrays["gravity"][:, 1]}
+    for name, values in confounders.items():
+        if np.isnan(values).any():
+            yield Check(f"share of {name}", "does not apply: unknown", True)
+        else:
+            labels = {value: f"{value:g}" for value in getattr(scenario.confounders, name)}
+            yield check_equal_shares(name, values, labels, draws=len(values) // num_cells)
 
 
 def _check_shares_of_cells(arrays: Arrays, scenario: Scenario) -> Check:
@@ -281,7 +283,7 @@ def distances_per_value(arrays: Arrays, spec: Sharded) -> dict[str, dict[float, 
             for value in getattr(spec.scenario.confounders, name)
         }
         for suffix, mask in (objects if len(spec.scenario.cells()) > 1 else [("", presence)])
-        for name in ("mass", "friction", "restitution")
+        for name in CONFOUNDERS_OF_OBJECTS
     }
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cophy.audit.checks import Check, check_distances, check_equal_shares, check_positions, check_stability
+from cophy.audit.checks import Check, check_confounder_shares, check_distances, check_positions, check_stability
 from cophy.dataset.features import Arrays, stands
 from cophy.dataset.shards import Sharded
 from cophy.dataset.splits import SPLITS
@@ -27,7 +27,7 @@ def audit_released(arrays: Arrays, spec: Sharded) -> Iterator[Check]:
     yield _check_copies(arrays)
     yield from _check_do_operations(arrays)
     yield from check_positions(arrays, spec.scenario.object_size_m)  # objects are 1 m large, as ours, in all formats
-    yield from _check_confounders(arrays, spec)
+    yield from check_confounder_shares(arrays, spec.scenario, len(spec.scenario.cells()))
     if spec.scenario.statics is not None:
         standing = stands(arrays, spec.scenario.statics.fallen_distance)[:, 1]
         yield from check_stability(arrays, standing, spec.num_objects)
@@ -63,16 +63,3 @@ def _check_do_operations(arrays: Arrays) -> Iterator[Check]:
     if len(offset):
         result = f"{(removed > 0).mean():.1%} removals; displaced by {np.median(offset):.2f} m (median)"
     yield Check("do-operations", result, bool((removed <= 1).all()))
-
-
-def _check_confounders(arrays: Arrays, spec: Sharded) -> Iterator[Check]:
-    """Check that the values of each known confounder are equally frequent."""
-    present, grid = arrays["presence"][:, 0], spec.scenario.confounders
-    confounders = {name: arrays[name][present] for name in ("mass", "friction", "restitution")}
-    confounders |= {name: arrays["gravity"][:, axis] for axis, name in enumerate(("gravity_x", "gravity_y"))}
-    for name, values in confounders.items():
-        labels = {value: f"{value:g}" for value in getattr(grid, name)}
-        if np.isnan(values).any():
-            yield Check(f"share of {name}", "does not apply: unknown", True)
-        else:
-            yield check_equal_shares(name, values, labels, draws=len(values) // len(spec.scenario.cells()))

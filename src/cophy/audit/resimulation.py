@@ -7,12 +7,12 @@
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from tqdm import tqdm
 
-from cophy.audit.checks import Check, three_sigma
+from cophy.audit.checks import Check, scenes_of, three_sigma
 from cophy.dataset.features import Arrays
 from cophy.dataset.fields import to_arrays
 from cophy.dataset.replay import do_operation_of, scene_of, trajectories_of
@@ -26,45 +26,42 @@ from cophy.scenario.towers import read_tower
 MIN_RESIMULATED_SHARE = 0.9
 MAX_STEP_EFFECT_M = 0.5  # ours: half an object
 MIN_CONVERGED_SHARE = 0.9  # ours: the rest is chaotic; in a few of a hundred the objects collide with others
-MAX_ENUMERATED = 1000  # ours: configurations; more would take minutes for each twin pair
+MAX_CONFIGURATIONS = 1000  # ours: configurations; more would take minutes for each twin pair
 ALIKE_M = 0.05  # ours: AB of two configurations look the same below this trajectory distance
 BEGINNINGS = (0.2, 0.4)  # ours: shares of AB after which configurations are dropped that already look different
-MIN_IDENTIFIED = (
-    0.9  # ours: a twentieth of all towers stand in AB and fall in CD, and AB does not determine how they fall
-)
+# ours: a twentieth of all towers stand in AB and fall in CD, and AB does not determine how they fall
+MIN_IDENTIFIED = 0.9
 MIN_OUTCOMES = 0.98  # ours: not 1, because A and C are stored rounded
-
-
-@dataclass
-class _Replay:
-    """One twin pair, regenerated and resimulated.
-
-    Attributes:
-        distance: (twin, sequence) trajectory distance from the stored sequence, metres.
-        twins_distance: trajectory distance between the CD of the twins, metres.
-    """
-
-    pair: int
-    same_bytes: bool
-    cells: list[int]
-    distance: np.ndarray
-    twins_distance: float
 
 
 def check_resimulation(arrays: Arrays, spec: DatasetSpec, num_pairs: int) -> Iterator[Check]:
     """Regenerate and resimulate a random sample of twin pairs."""
+    scenario, pairs = spec.scenario, _sample_pairs(arrays, num_pairs)
+    different, distances, twin_distances = [], [], []
     with Simulator() as simulator:
-        bar = tqdm(_sample_pairs(arrays, num_pairs), unit="pair", desc="resimulated", leave=False)
-        replays = [_replay(arrays, spec, pair, simulator) for pair in bar]
-    different = [replay.pair for replay in replays if not replay.same_bytes]
-    result = "yes"
-    if different:
-        result = f"fails in {len(different)} of {num_pairs} twin pairs, the first is {different[0]}"
+        for pair in tqdm(pairs, unit="pair", desc="resimulated", leave=False):
+            rows = [2 * pair, 2 * pair + 1]
+            experiments = scenario.twin_pair(spec.num_objects, data_seed=spec.data_seed, pair=pair, simulator=simulator)
+            regenerated = to_arrays(experiments, rows, spec)
+            if not all(np.array_equal(regenerated[name], arrays[name][rows]) for name in regenerated):
+                different.append(pair)
+            simulated = [[scenario.simulate(simulator, s) for s in scenes_of(arrays, row, scenario)] for row in rows]
+            stored = [trajectories_of(arrays, row) for row in rows]
+            distances.append([list(map(trajectory_distance, *both)) for both in zip(simulated, stored, strict=True)])
+            twin_distances.append(trajectory_distance(simulated[0][1], simulated[1][1]))
+    result = f"fails in {len(different)} of {num_pairs} twin pairs, the first is {different[0]}" if different else "yes"
     yield Check("regenerated from the seed, the same bytes", result, not different)
-    yield _check_stored(replays, spec.scenario)
-    differ = np.array([r.twins_distance >= MIN_RESIMULATED_SHARE * spec.scenario.min_difference for r in replays])
-    result = f"{differ.mean():.0%} of {len(replays)} pairs"
-    yield _check_most("the twin's confounders change CD", differ, result)
+    # a simulation may amplify the rounding of the stored A and C to float32
+    distance, cell = np.concatenate(distances), arrays["cell"][[2 * pair + twin for pair in pairs for twin in (0, 1)]]
+    medians = {name: np.median(distance[cell == k]) for k, name in enumerate(scenario.cells()) if (cell == k).any()}
+    close, limit_m = distance < scenario.min_difference, scenario.min_difference
+    result = f"{close.mean():.0%} of {close.size} within {limit_m:g} m; medians: "
+    result += ", ".join(f"{name} {median:.0e} m" for name, median in medians.items())
+    passed = _exceeds(close.mean(), MIN_RESIMULATED_SHARE, close.size)
+    yield Check("resimulated from the stored A and C, as stored", result, passed)
+    differ = np.mean(np.array(twin_distances) >= MIN_RESIMULATED_SHARE * scenario.min_difference)
+    passed = _exceeds(differ, MIN_RESIMULATED_SHARE, len(pairs))
+    yield Check("the twin's confounders change CD", f"{differ:.0%} of {len(pairs)} pairs", passed)
 
 
 def _sample_pairs(arrays: Arrays, num_pairs: int) -> list[int]:
@@ -72,45 +69,9 @@ def _sample_pairs(arrays: Arrays, num_pairs: int) -> list[int]:
     return pairs
 
 
-def _replay(arrays: Arrays, spec: DatasetSpec, pair: int, simulator: Simulator) -> _Replay:
-    scenario, rows = spec.scenario, [2 * pair, 2 * pair + 1]
-    experiments = scenario.twin_pair(spec.num_objects, data_seed=spec.data_seed, pair=pair, simulator=simulator)
-    regenerated = to_arrays(experiments, rows, spec)
-    resimulated = [
-        [scenario.simulate(simulator, scene) for scene in (a, do_operation_of(arrays, row, scenario).apply(a))]
-        for row, a in ((row, scene_of(arrays, row, scenario)) for row in rows)
-    ]
-    distance = [
-        [trajectory_distance(*both) for both in zip(simulated, trajectories_of(arrays, row), strict=True)]
-        for row, simulated in zip(rows, resimulated, strict=True)
-    ]
-    return _Replay(
-        pair=pair,
-        same_bytes=all(np.array_equal(regenerated[name], arrays[name][rows]) for name in regenerated),
-        cells=arrays["cell"][rows].tolist(),
-        distance=np.array(distance),
-        twins_distance=trajectory_distance(resimulated[0][1], resimulated[1][1]),
-    )
-
-
-def _check_stored(replays: list[_Replay], scenario: Scenario) -> Check:
-    """Check that the stored A and C give the stored sequences; a simulation may amplify their rounding to float32."""
-    distance = np.stack([replay.distance for replay in replays])
-    cells = np.array([replay.cells for replay in replays])
-    medians = ", ".join(
-        f"{name} {np.median(distance[cells == cell]):.0e} m"
-        for cell, name in enumerate(scenario.cells())
-        if (cells == cell).any()
-    )
-    close = distance < scenario.min_difference
-    result = f"{close.mean():.0%} of {close.size} within {scenario.min_difference:g} m; medians: {medians}"
-    return _check_most("resimulated from the stored A and C, as stored", close, result)
-
-
-def _check_most(name: str, passes: np.ndarray, result: str) -> Check:
-    """Check that MIN_RESIMULATED_SHARE of the sample passes, up to chance."""
-    limit = MIN_RESIMULATED_SHARE - three_sigma(MIN_RESIMULATED_SHARE, passes.size)
-    return Check(name, result, bool(passes.mean() >= limit))
+def _exceeds(share: float, minimum: float, count: int) -> bool:
+    """Return whether a share of a sample of `count` is at least the minimum, up to chance."""
+    return bool(share >= minimum - three_sigma(minimum, count))
 
 
 def check_convergence(arrays: Arrays, spec: DatasetSpec, num_pairs: int) -> Iterator[Check]:
@@ -124,8 +85,7 @@ def check_convergence(arrays: Arrays, spec: DatasetSpec, num_pairs: int) -> Iter
         distance = np.array(effect_of_double_rate(arrays, spec, rows, simulator))
     share = float((distance < MAX_STEP_EFFECT_M).mean())
     result = f"median of {len(rows)}: {np.median(distance):.1e} m; {share:.0%} less than {MAX_STEP_EFFECT_M} m"
-    limit = MIN_CONVERGED_SHARE - three_sigma(MIN_CONVERGED_SHARE, len(rows))
-    passed = spec.scenario.statics is not None or share >= limit
+    passed = spec.scenario.statics is not None or _exceeds(share, MIN_CONVERGED_SHARE, len(rows))
     yield Check("effect of twice the solver's rate on CD", result, passed)
 
 
@@ -135,7 +95,7 @@ def effect_of_double_rate(arrays: Arrays, spec: DatasetSpec, rows: list[int], si
     finer = replace(scenario, solver=replace(scenario.solver, step_rate_hz=2 * scenario.solver.step_rate_hz))
     distances = []
     for row in rows:
-        start = do_operation_of(arrays, row, scenario).apply(scene_of(arrays, row, scenario))
+        _, start = scenes_of(arrays, row, scenario)
         distances.append(trajectory_distance(*(each.simulate(simulator, start) for each in (scenario, finer))))
     return distances
 
@@ -147,7 +107,7 @@ def check_identifiability(arrays: Arrays, spec: DatasetSpec, num_pairs: int) -> 
     within `min_difference`. For towers, the configurations must also agree on whether CD stands. Where there are too many
     configurations, those that differ from the true one in a single value are tried, and there is no limit.
     """
-    enumerated = spec.scenario.confounders.num_configurations(spec.num_objects) <= MAX_ENUMERATED
+    enumerated = spec.scenario.confounders.num_configurations(spec.num_objects) <= MAX_CONFIGURATIONS
     with Simulator() as simulator:
         bar = tqdm(_sample_pairs(arrays, num_pairs), unit="pair", desc="under other confounders", leave=False)
         agreed = np.array([each for pair in bar for each in _agreements(arrays, spec, pair, enumerated, simulator)])
@@ -163,8 +123,7 @@ def _check_share(name: str, share: float, minimum: float, count: int, enumerated
     result = f"in {share:.1%} of {count} experiments"
     if not enumerated:
         return Check(name, f"{result} (no limit: too many configurations to try all)", True)
-    passed = bool(share >= minimum - three_sigma(minimum, count))
-    return Check(name, f"{result} ≥ {minimum:.0%}, up to chance", passed)
+    return Check(name, f"{result} ≥ {minimum:.0%}, up to chance", _exceeds(share, minimum, count))
 
 
 def _agreements(
@@ -180,18 +139,16 @@ def _agreements(
         candidates = np.array(sorted({other for each in true for other in grid.neighbours(each, spec.num_objects)}))
     # the true sequences are also simulated from the stored A, because falls amplify its rounding
     starts = [scenario.with_configuration(configuration, scene) for configuration in true]
+    operations = [do_operation_of(arrays, row, scenario) for row in rows]
     observed = [scenario.simulate(simulator, start) for start in starts]
-    changed = [do_operation_of(arrays, row, scenario).apply(start) for row, start in zip(rows, starts, strict=True)]
+    changed = [operation.apply(start) for operation, start in zip(operations, starts, strict=True)]
     counterfactual = [scenario.simulate(simulator, start) for start in changed]
     stand, true_stand = _stand(scenario, scene, candidates), _stand(scenario, scene, np.array(true))
     falling = _same_observation(scenario, scene, candidates[~stand].tolist(), observed, simulator)
     standing = candidates[stand].tolist()  # towers that stand look the same
-    for twin, row in enumerate(rows):
-        do_operation = do_operation_of(arrays, row, scenario)
-        configurations = standing if true_stand[twin] else falling[twin]
-        alternatives = [
-            do_operation.apply(scenario.with_configuration(configuration, scene)) for configuration in configurations
-        ]
+    for twin, operation in enumerate(operations):
+        alike = standing if true_stand[twin] else falling[twin]
+        alternatives = [operation.apply(scenario.with_configuration(each, scene)) for each in alike]
         yield _same_counterfactual(scenario, alternatives, counterfactual[twin], simulator)
 
 
@@ -203,10 +160,10 @@ def _same_counterfactual(
     for start in starts:
         trajectory = scenario.simulate(simulator, start)
         near = near and trajectory_distance(trajectory, true) < scenario.min_difference
-        if scenario.statics is not None:
-            same_outcome = same_outcome and scenario.statics.stands(trajectory) == scenario.statics.stands(true)
-        else:
+        if scenario.statics is None:
             same_outcome = near
+        else:
+            same_outcome = same_outcome and scenario.statics.stands(trajectory) == scenario.statics.stands(true)
         if not (same_outcome or near):
             break
     return same_outcome, near
