@@ -25,7 +25,7 @@ from cophy.study.report import draw_studies, read_answers, study_tables
 from tests.attacks.conftest import DATA, DERENDERER, ESTIMATED, TRAINING, Step, copy_world
 from tests.commands import ending
 from tests.conftest import tiny_spec
-from tests.study.test_participants_in_report import description, write_answers
+from tests.study.test_report import description, write_answers
 
 pytestmark = pytest.mark.slow
 
@@ -189,7 +189,7 @@ def answers(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("answers")
     for name in ("x", "y"):
         path = directory / "study" / name / "answers.sqlite"
-        write_answers(path, description(States(tiny_spec("blocktower"), tiny_data).id))
+        write_answers(directory, description(States(tiny_spec("blocktower"), tiny_data).id), name=name)
         with sqlite3.connect(path) as db:
             db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         db.close()
@@ -200,8 +200,8 @@ def test_damaged_answer_files_are_named_or_do_no_harm(
     answers: Path, tiny_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     uses: tuple[Callable[[Path], object], ...] = (
-        lambda path: read_participants(path, "s"),
-        lambda path: read_clicks(path, "s"),
+        lambda path: read_participants(path, "0"),
+        lambda path: read_clicks(path, "0"),
         lambda path: AnswerStore(path).close(),
     )
     for seed in range(NUM_ANSWER_FILES):
@@ -213,7 +213,7 @@ def test_damaged_answer_files_are_named_or_do_no_harm(
             warnings.simplefilter("ignore")  # about values that are wrong
             studies = read_answers(world, ComposedData("generated", tiny_data).dataset)
             study_tables(studies)
-            list(draw_studies(studies))
+            draw_studies(studies)
         assert len(studies) + " ".join(caplog.text.split()).count("left out") >= 1
         before = path.read_bytes() if path.is_file() and path.stat().st_size < HUGE_BYTES else None
         for use in uses if path.exists() else ():

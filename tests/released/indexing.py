@@ -1,5 +1,6 @@
-"""Indices of small released trees, made in this process."""
+"""Indices of small released trees, written in this process."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +14,26 @@ LISTS = {"train": ["0", "1"], "val": ["2"], "test": ["3"]}
 
 
 def states(source: str, scenario: str, root: Path, split: str | None = None, num_objects: int | None = None) -> Any:
-    """An index in `<root>-data`, not yet made."""
-    chosen = settings("train", f"source={source}", f"scenario={scenario}", *([f"split={split}"] if split else []))
-    where = ReleasedSource(source, "", str(root))
-    (found,) = where.experiment_sets(
-        chosen.scenario,
-        chosen.split,
-        [num_objects or chosen.split.train.num_objects],
-        size=chosen.size,
+    """Return an index in `<root>-data` that is not written yet."""
+    config = _config(f"source={source}", f"scenario={scenario}", *([f"split={split}"] if split else []))
+    (index,) = ReleasedSource(source, "", str(root)).experiment_sets(
+        config.scenario,
+        config.split,
+        [num_objects or config.split.train.num_objects],
+        size=config.size,
         data_seed=0,
         data_dir=root.with_name(f"{root.name}-data"),
     )
-    return found
+    return index
+
+
+@cache
+def _config(*overrides: str) -> Any:
+    return settings("train", *overrides)
 
 
 def make(opened: ExperimentSet) -> ExperimentSet:
-    """The index, made in this process."""
+    """Write the index in this process, and return it."""
     opened.directory.mkdir(parents=True, exist_ok=True)
     opened.write(opened.path(0), 0, lambda count: None)
     opened.write_manifest()

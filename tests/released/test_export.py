@@ -2,6 +2,8 @@
 
 import errno
 import os
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -26,7 +28,7 @@ GRID = ("mass", "friction", "restitution", "gravity_x", "gravity_y")
 
 
 class Drawer:
-    """Stands in for the renderer: slot s is the columns s and s + 9 of an image of brightness 8 · (number of the frame)."""
+    """A renderer that draws slot s as the columns s and s + 9, in an image of brightness 8 · (number of the frame)."""
 
     camera_seconds = 0.0
 
@@ -48,22 +50,40 @@ class Drawer:
         return Frames(rgb, np.zeros((count, PX, PX), dtype=np.uint16), segmentation)
 
 
-@pytest.fixture
-def drawn(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A scenario's tiny dataset with images that cost nothing to render."""
-    monkeypatch.setattr(images, "Renderer", Drawer)
+@pytest.fixture(scope="module")
+def drawn(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Images]:
+    """A scenario's tiny dataset with images that cost nothing to render, drawn once."""
 
-    def make_pictures(name: str) -> Images:
-        states = States(tiny_spec(name), tiny_data)
-        pictures = Images(states, RenderSettings(["rgb", "segmentation"], PX, Backend.tiny))
-        pictures.directory = tmp_path / "pictures"
-        pictures.directory.mkdir(exist_ok=True)
-        for shard in range(states.spec.num_shards):
-            pictures.write(pictures.path(shard), shard, lambda count: None)
+    @cache
+    def draw(name: str) -> Images:
+        pictures = Images(States(tiny_spec(name), tiny_data), RenderSettings(["rgb", "segmentation"], PX, Backend.tiny))
+        pictures.directory = tmp_path_factory.mktemp(f"pictures-{name}")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(images, "Renderer", Drawer)
+            for shard in range(pictures.spec.num_shards):
+                pictures.write(pictures.path(shard), shard, lambda count: None)
         pictures.write_manifest()
         return pictures
 
-    return make_pictures
+    return draw
+
+
+@pytest.fixture(scope="module")
+def exported(drawn: Callable[[str], Images], tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The root of an export with clips, written once."""
+
+    @cache
+    def export_once(name: str) -> Path:
+        root = tmp_path_factory.mktemp(f"export-{name}")
+        export(drawn(name).states, drawn(name), root)
+        return root
+
+    return export_once
+
+
+@pytest.fixture
+def collisions(tiny_data: Path) -> States:
+    return States(tiny_spec("collision"), tiny_data)
 
 
 def imported(name: str, root: Path, split: str | None = None) -> dict[str, np.ndarray]:
@@ -72,55 +92,44 @@ def imported(name: str, root: Path, split: str | None = None) -> dict[str, np.nd
     grid = [f"scenario.confounders.{key}={[float(v) for v in getattr(config, key)]}" for key in GRID]
     chosen = settings("train", "source=cophy", f"scenario={name}", *grid, *([f"split={split}"] if split else []))
     (experiments,) = ReleasedSource("cophy", "", str(root)).experiment_sets(
-        chosen.scenario, chosen.split, [SCENARIOS[name]], size=chosen.size, data_seed=0, data_dir=root / "index"
+        chosen.scenario,
+        chosen.split,
+        [SCENARIOS[name]],
+        size=chosen.size,
+        data_seed=0,
+        data_dir=root.with_name(f"{root.name}-index"),
     )
     return make(experiments).load()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_an_export_reads_back_unchanged(name: str, drawn: Any, tmp_path: Path) -> None:
-    pictures = drawn(name)
-    root = tmp_path / "root"
-    export(pictures.states, pictures, root)
-    was, back = pictures.states.load(), imported(name, root)
+def test_an_export_reads_back_unchanged(name: str, drawn: Any, exported: Any) -> None:
+    original, back = drawn(name).states.load(), imported(name, exported(name))
     frames = back["states"].shape[2]
     assert frames == (15 if name == "collision" else 30)
-    np.testing.assert_array_equal(back["states"], was["states"][:, :, ::4][:, :, :frames])
+    np.testing.assert_array_equal(back["states"], original["states"][:, :, ::4][:, :, :frames])
     for array in ("presence", "split", "mass", "friction", "restitution", "gravity", "do_slot", "shape"):
-        np.testing.assert_array_equal(back[array], was[array], err_msg=array)
-    np.testing.assert_allclose(back["do_offset"], was["do_offset"], atol=1e-6)
+        np.testing.assert_array_equal(back[array], original[array], err_msg=array)
+    np.testing.assert_allclose(back["do_offset"], original["do_offset"], atol=1e-6)
     if name != "balls":
-        np.testing.assert_array_equal(back["object_index"], was["object_index"])
+        np.testing.assert_array_equal(back["object_index"], original["object_index"])
     assert back["clip"].all()
 
 
-@pytest.mark.parametrize(
-    ("name", "split"),
-    [
-        ("blocktower", "3to3_unseen"),
-        ("collision", "sphere_to_cylinder"),
-    ],
-)
-def test_lists_of_unseen_experiments_read_back(name: str, split: str, drawn: Any, tmp_path: Path) -> None:
-    pictures = drawn(name)
-    root = tmp_path / "root"
-    export(pictures.states, pictures, root)
-    was, back = pictures.states.load(), imported(name, root, split)
+@pytest.mark.parametrize(("name", "split"), [("blocktower", "3to3_unseen"), ("collision", "sphere_to_cylinder")])
+def test_lists_of_unseen_experiments_read_back(name: str, split: str, drawn: Any, exported: Any) -> None:
+    original, back = drawn(name).states.load(), imported(name, exported(name), split)
     chosen = settings("train", f"scenario={name}", f"split={split}").split
-    test = was["split"] == 2
-    expected = np.where(test, chosen.test.select(was), chosen.train.select(was))
+    is_test = original["split"] == 2
+    expected = np.where(is_test, chosen.test.select(original), chosen.train.select(original))
     np.testing.assert_array_equal(back["experiment"], np.flatnonzero(expected))
-    np.testing.assert_array_equal(back["split"], was["split"][expected])
+    np.testing.assert_array_equal(back["split"], original["split"][expected])
 
 
-def test_states_only_read_back_without_clips(tiny_data: Path, tmp_path: Path) -> None:
-    states = States(tiny_spec("collision"), tiny_data)
-    folder = export(states, None, tmp_path / "root")
+def test_states_only_read_back_without_clips(collisions: States, tmp_path: Path) -> None:
+    folder = export(collisions, None, tmp_path / "root")
     assert {path.name for path in (folder / "0" / "ab").iterdir()} == {"states.npy", "colors.txt"}
-    was, back = states.load(), imported("collision", tmp_path / "root")
-    np.testing.assert_array_equal(back["states"], was["states"][:, :, ::4][:, :, :15])
-    np.testing.assert_array_equal(back["mass"], was["mass"])
-    assert not back["clip"].any()
+    assert not imported("collision", tmp_path / "root")["clip"].any()
 
 
 FILES = {
@@ -140,12 +149,10 @@ LISTS = {
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_every_file_has_the_released_format(name: str, drawn: Any, tmp_path: Path) -> None:
-    pictures = drawn(name)
-    folder = export(pictures.states, pictures, tmp_path / "root")
-    task = {"blocktower": "blocktowerCF/3", "balls": "ballsCF/4", "collision": "collisionCF"}[name]
-    assert folder == tmp_path / "root" / task
-    assert {path.name for path in (tmp_path / "root" / "splits").iterdir()} == LISTS[name]
+def test_every_file_has_the_released_format(name: str, drawn: Any, exported: Any) -> None:
+    pictures, root = drawn(name), exported(name)
+    folder = root / {"blocktower": "blocktowerCF/3", "balls": "ballsCF/4", "collision": "collisionCF"}[name]
+    assert {path.name for path in (root / "splits").iterdir()} == LISTS[name]
     slots, frames = pictures.spec.scenario.num_slots, 15 if name == "collision" else 30
     arrays = pictures.states.load()
     for row in (0, 38):
@@ -188,49 +195,46 @@ def test_every_file_has_the_released_format(name: str, drawn: Any, tmp_path: Pat
             assert [x, y] == arrays["gravity"][row, :2].tolist()
 
 
-def test_an_export_resumes(drawn: Any, tmp_path: Path) -> None:
-    pictures = drawn("collision")
-    folder = export(pictures.states, pictures, tmp_path / "root")
+def test_an_export_resumes(collisions: States, tmp_path: Path) -> None:
+    folder = export(collisions, None, tmp_path)
     before = (folder / "4" / "confounders.npy").stat().st_mtime_ns
     (folder / "5" / "explanations.txt").unlink()
     (folder / "5").rename(folder / ".5.tmp")  # as a kill leaves it
-    export(pictures.states, pictures, tmp_path / "root")
+    export(collisions, None, tmp_path)
     assert (folder / "5" / "explanations.txt").exists()
     assert not list(folder.glob(".*.tmp"))
     assert (folder / "4" / "confounders.npy").stat().st_mtime_ns == before
 
 
-def test_a_failed_export_leaves_no_partial_folder(drawn: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_export_leaves_no_partial_folder(
+    collisions: States, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(file: Path, array: np.ndarray) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(file))
 
-    pictures = drawn("collision")
     monkeypatch.setattr(np, "save", full)
     with pytest.raises(OSError, match="No space left"):
-        export(pictures.states, pictures, tmp_path / "root")
-    assert not list((tmp_path / "root").rglob("*.tmp"))
+        export(collisions, None, tmp_path)
+    assert not list(tmp_path.rglob("*.tmp"))
 
 
-def test_states_only_are_not_mixed_into_an_export_with_clips(drawn: Any, tmp_path: Path) -> None:
-    pictures = drawn("collision")
-    export(pictures.states, pictures, tmp_path / "root")
+def test_states_only_are_not_mixed_into_an_export_with_clips(collisions: States, exported: Any) -> None:
     with pytest.raises(CophyError, match=r"holds other data than .* without images"):
-        export(pictures.states, None, tmp_path / "root")
+        export(collisions, None, exported("collision"))
 
 
-def test_an_export_overwrites_no_other_files(drawn: Any, tmp_path: Path) -> None:
-    pictures = drawn("collision")
+def test_an_export_overwrites_no_other_files(collisions: States, tmp_path: Path) -> None:
     foreign = tmp_path / "foreign" / "collisionCF" / "0"
     foreign.mkdir(parents=True)
     with pytest.raises(CophyError, match="collisionCF holds other data"):
-        export(pictures.states, pictures, tmp_path / "foreign")
+        export(collisions, None, tmp_path / "foreign")
     assert [path.name for path in (tmp_path / "foreign").rglob("*")] == ["collisionCF", "0"]
     (foreign.parent / "export.json").write_text("[" * 100_000)
     with pytest.raises(CophyError, match="collisionCF holds other data"):
-        export(pictures.states, pictures, tmp_path / "foreign")
+        export(collisions, None, tmp_path / "foreign")
     lists = tmp_path / "lists" / "splits"
     lists.mkdir(parents=True)
     (lists / "collisionCF_val_normal.txt").write_text("17\n")
     with pytest.raises(CophyError, match=r"collisionCF_val_normal.txt is a list of other data"):
-        export(pictures.states, pictures, tmp_path / "lists")
+        export(collisions, None, tmp_path / "lists")
     assert not (tmp_path / "lists" / "collisionCF").exists()

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.dataset import generation
 from cophy.dataset.estimates import Estimates
 from cophy.dataset.frames import FrameDataset
 from cophy.errors import CophyError
@@ -18,8 +17,7 @@ RENDER = RenderSettings(["rgb"], 16, Backend.tiny)
 
 
 def test_an_index_is_written_once_and_again_when_experiments_are_added(towers: CoPhyTree) -> None:
-    opened = states("cophy", "blocktower", towers.root)
-    generation.make(opened, workers=1)
+    make(states("cophy", "blocktower", towers.root))
     (towers.root / "blocktowerCF/3/0/ab/states.npy").unlink()  # not read again
     assert states("cophy", "blocktower", towers.root).is_finished()
     assert len(states("cophy", "blocktower", towers.root).load()["split"]) == 4

@@ -78,9 +78,11 @@ def data(tiny_data: Path) -> ComposedData:
     return ComposedData("generated", tiny_data)
 
 
-def write_answers(outputs: Path, *descriptions: str, experiment: int = 2, kind: str = "person") -> None:
+def write_answers(
+    outputs: Path, *descriptions: str, experiment: int = 2, kind: str = "person", name: str = "x"
+) -> None:
     """Write studies 0, 1, …: one participant of each clicked (10, 20) for slot 0 of an experiment."""
-    path = outputs / "study" / "x" / "answers.sqlite"
+    path = outputs / "study" / name / "answers.sqlite"
     path.parent.mkdir(parents=True)
     with closing(AnswerStore(path)) as store, store.transaction() as db:
         for study, text in enumerate(descriptions):

@@ -21,9 +21,9 @@ from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import SPLITS, Split
 from cophy.errors import CophyError
-from cophy.released.formats import FORMATS, SEQUENCES, ReleasedFormat
+from cophy.released.formats import FORMATS, SEQUENCES
 from cophy.released.recording import BrokenExperimentError, to_row
-from cophy.released.spec import Lists, ReleasedSpec, list_experiments, read_lists
+from cophy.released.spec import ReleasedSpec, list_experiments, read_lists
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import RenderSettings
 from cophy.untrusted_files import BrokenFileError, open_clip
@@ -45,32 +45,20 @@ class ReleasedStates(ExperimentSet):
     spec: ReleasedSpec
 
     def __init__(
-        self,
-        released_format: ReleasedFormat,
-        root: Path,
-        scenario: Scenario,
-        num_objects: int,
-        *,
-        split: Split,
-        lists: Path | None,
-        data_dir: Path,
+        self, source: "ReleasedSource", scenario: Scenario, split: Split, num_objects: int, data_dir: Path
     ) -> None:
-        self.split = split
-        folders = [root / "splits", root] if lists is None else [lists]
+        if source.root is None:
+            raise CophyError(f"source={source.name} needs source.root=, the folder that holds ballsCF, blocktowerCF, …")
+        self.split, root, released_format = split, Path(source.root), FORMATS[source.name]
+        folders = [root / "splits", root] if source.splits is None else [Path(source.splits)]
         names = [released_format.list_names(scenario, num_objects, split, part) for part in SPLITS]
         self.lists = read_lists(folders, names)
         directory = released_format.directory(root, scenario, num_objects)
         spec = ReleasedSpec(scenario, num_objects, released_format, directory, list_experiments(directory))
-        super().__init__(
-            spec,
-            data_dir / scenario.name / spec.id,
-            title=f"index of {scenario.name}, {num_objects} objects",
-            script="audit",
-            keys=(
-                f"source={released_format.name} source.root={root} scenario={scenario.name} "
-                f"split={split.name} 'num_objects=[{num_objects}]' data_dir={data_dir}"
-            ),
-        )
+        title = f"index of {scenario.name}, {num_objects} objects"
+        keys = f"source={source.name} source.root={root} scenario={scenario.name} split={split.name}"
+        keys = f"{keys} 'num_objects=[{num_objects}]' data_dir={data_dir}"
+        super().__init__(spec, data_dir / scenario.name / spec.id, title=title, script="audit", keys=keys)
 
     @property
     def id(self) -> str:
@@ -83,7 +71,7 @@ class ReleasedStates(ExperimentSet):
         return f"its lists of ids are {lists}; what could not be read is named in {self.directory}"
 
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> "ReleasedClips":
-        return ReleasedClips(self, self.spec)
+        return ReleasedClips(self)
 
     def unseen_by(
         self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
@@ -130,77 +118,66 @@ class ReleasedStates(ExperimentSet):
         """Return the arrays of all complete experiments in the lists, by id, and report broken ones."""
         arrays = super().load(reduced)
         problems = [problem.decode(errors="replace") for problem in arrays.pop("problem").tolist()]
-        _report_problems(problems, self.spec, self.directory)
+        self._report_problems(problems)
         complete = np.array([not problem for problem in problems])
         arrays["experiment"] = np.arange(self.spec.num_experiments)
         arrays = {name: array[complete] for name, array in arrays.items()}
         arrays["twin"] = np.arange(len(arrays["experiment"]))
-        arrays = _select_listed(_without_doubtful_gravity(arrays, self.spec), self.spec, self.lists)
+        is_doubtful = np.isnan(arrays["gravity"]).any(axis=1)
+        if is_doubtful.any():
+            log.warning(
+                "%s: %d of %d experiments come without a gravity on the grid (the released generator writes two frictions "
+                "into gravity.txt): gravity counts as unknown in all of them",
+                *(self.spec.directory, is_doubtful.sum(), is_doubtful.size),
+            )
+            arrays["gravity"][:, :2] = np.nan
+        arrays = self._select_listed(arrays)
         if self.split.train.moving is not None and self.spec.released_format.lists_by_shape:
-            _check_moving_shapes(arrays, self.split, self.lists)
+            self._check_moving_shapes(arrays)
         return arrays
 
+    def _report_problems(self, problems: list[str]) -> None:
+        """Log how many experiments are broken, and list them next to the index.
 
-def _report_problems(problems: list[str], spec: ReleasedSpec, directory: Path) -> None:
-    """Log how many experiments are broken, and list them next to the index.
+        Args:
+            problems: the problem of each experiment, "" where there is none.
 
-    Args:
-        problems: the problem of each experiment, "" where there is none.
-        spec: description of the experiments.
-        directory: directory of the index.
+        Raises:
+            CophyError: no experiment is complete.
+        """
+        named = zip(self.spec.ids, problems, strict=True)
+        broken = [f"{name}: {problem}" for name, problem in named if problem not in ("", EMPTY_FOLDER)]
+        if empty := problems.count(EMPTY_FOLDER):
+            log.info("%s: %d empty folders are skipped", self.spec.directory, empty)
+        if not broken:
+            return
+        write_atomically(self.directory / BROKEN_LIST, "".join(f"{line}\n" for line in broken).encode())
+        message = f"{len(broken)} of {len(problems) - empty} experiments are broken, the first is {broken[0]}"
+        if len(broken) + empty == len(problems):
+            raise CophyError(f"{self.spec.directory}: {message}")
+        log.warning("%s: %s; all are listed in %s", self.spec.directory, message, self.directory / BROKEN_LIST)
 
-    Raises:
-        CophyError: no experiment is complete.
-    """
-    named = zip(spec.ids, problems, strict=True)
-    broken = [f"{name}: {problem}" for name, problem in named if problem not in ("", EMPTY_FOLDER)]
-    if empty := problems.count(EMPTY_FOLDER):
-        log.info("%s: %d empty folders are skipped", spec.directory, empty)
-    if not broken:
-        return
-    write_atomically(directory / BROKEN_LIST, "".join(f"{line}\n" for line in broken).encode())
-    message = f"{len(broken)} of {len(problems) - empty} experiments are broken, the first is {broken[0]}"
-    if len(broken) + empty == len(problems):
-        raise CophyError(f"{spec.directory}: {message}")
-    log.warning("%s: %s; all are listed in %s", spec.directory, message, directory / BROKEN_LIST)
+    def _select_listed(self, arrays: Arrays) -> Arrays:
+        """Return the listed experiments, with `split` and `seen`."""
+        splits = {name: split for split, names in enumerate(self.lists.ids) for name in names}
+        ids = [self.spec.ids[index] for index in arrays["experiment"]]
+        if missing := len(set(splits) - set(ids)):
+            log.warning("%s: %d listed experiments are broken or missing", self.spec.directory, missing)
+        rows = [row for row, name in enumerate(ids) if name in splits]
+        split = np.array([splits[ids[row]] for row in rows], dtype=np.uint8)
+        arrays = {name: array[rows] for name, array in arrays.items()}
+        return arrays | {"split": split, "seen": split != SPLITS.index("test")}
 
+    def _check_moving_shapes(self, arrays: Arrays) -> None:
+        """Check lists of the splits by the moving object's shape against the data.
 
-def _without_doubtful_gravity(arrays: Arrays, spec: ReleasedSpec) -> Arrays:
-    """Mark gravity as unknown in all experiments if some gravity.txt does not hold gravity."""
-    doubtful = np.isnan(arrays["gravity"]).any(axis=1)
-    if doubtful.any():
-        log.warning(
-            "%s: %d of %d experiments come without a gravity on the grid (the released generator writes two frictions "
-            "into gravity.txt): gravity counts as unknown in all of them",
-            *(spec.directory, doubtful.sum(), doubtful.size),
-        )
-        arrays["gravity"][:, :2] = np.nan
-    return arrays
-
-
-def _select_listed(arrays: Arrays, spec: ReleasedSpec, lists: Lists) -> Arrays:
-    """Return the listed experiments, with `split` and `seen`."""
-    splits = {name: split for split, names in enumerate(lists.ids) for name in names}
-    ids = [spec.ids[index] for index in arrays["experiment"]]
-    if missing := len(set(splits) - set(ids)):
-        log.warning("%s: %d listed experiments are broken or missing", spec.directory, missing)
-    rows = [row for row, name in enumerate(ids) if name in splits]
-    split = np.array([splits[ids[row]] for row in rows], dtype=np.uint8)
-    arrays = {name: array[rows] for name, array in arrays.items()}
-    return arrays | {"split": split, "seen": split != SPLITS.index("test")}
-
-
-def _check_moving_shapes(arrays: Arrays, split: Split, lists: Lists) -> None:
-    """Check lists of the splits by the moving object's shape against the data.
-
-    Raises:
-        CophyError: a list names experiments in which another shape moves.
-    """
-    for number, (name, path) in enumerate(zip(SPLITS, lists.paths, strict=True)):
-        part = split.test if name == "test" else split.train
-        wrong = ((arrays["split"] == number) & ~part.select(arrays)).sum()
-        if wrong:
-            raise CophyError(f"{path}: in {wrong} of the listed experiments the moving object is no {part.moving}")
+        Raises:
+            CophyError: a list names experiments in which another shape moves.
+        """
+        for number, path in enumerate(self.lists.paths):
+            part = self.split.test if SPLITS[number] == "test" else self.split.train
+            if wrong := ((arrays["split"] == number) & ~part.select(arrays)).sum():
+                raise CophyError(f"{path}: in {wrong} of the listed experiments the moving object is no {part.moving}")
 
 
 class ReleasedClips:
@@ -209,8 +186,8 @@ class ReleasedClips:
     name = "rgb.mp4"
     needed = ALL
 
-    def __init__(self, states: ExperimentSet, spec: ReleasedSpec) -> None:
-        self.states, self.spec = states, spec
+    def __init__(self, states: ReleasedStates) -> None:
+        self.states, self.spec = states, states.spec
 
     def ensure(self, *, workers: int) -> None:
         """Index the experiments; their clips cannot be generated."""
@@ -294,10 +271,4 @@ class ReleasedSource(Source):
         overrides: tuple[str, ...] = (),
     ) -> list[ExperimentSet]:
         split.check_scenario(scenario)
-        if self.root is None:
-            raise CophyError(f"source={self.name} needs source.root=, the folder that holds ballsCF, blocktowerCF, …")
-        root, lists = Path(self.root), None if self.splits is None else Path(self.splits)
-        return [
-            ReleasedStates(FORMATS[self.name], root, scenario, count, split=split, lists=lists, data_dir=data_dir)
-            for count in split.counts(num_objects)
-        ]
+        return [ReleasedStates(self, scenario, split, count, data_dir) for count in split.counts(num_objects)]

@@ -79,15 +79,16 @@ class Rate:
 
 
 def _guards(requests_per_second: float) -> Callable[[Request, RequestResponseEndpoint], Awaitable[Response]]:
-    """Return a middleware that limits requests, adds headers, and answers errors of the server with JSON."""
+    """Return a middleware that limits requests, adds headers, and answers errors with JSON."""
     rate = Rate(requests_per_second, BURST_S * requests_per_second)
 
     async def respond(request: Request, call_next: RequestResponseEndpoint) -> Response:
         try:
-            if rate.allows(request.client.host if request.client else ""):
-                response = await call_next(request)
-            else:
-                response = JSONResponse({"error": "Too many requests."}, 429)
+            if not rate.allows(request.client.host if request.client else ""):
+                raise RefusedError(429, "Too many requests.")
+            response = await call_next(request)
+        except RefusedError as error:
+            response = JSONResponse({"error": error.reason}, error.status)
         except sqlite3.Error as error:  # a full disk, or a file that another program locks
             log.error("%s %r: the answer file: %s", request.method, request.url.path, error)
             response = JSONResponse({"error": FAILED}, 503)
@@ -141,13 +142,8 @@ def make_app(sessions: Sessions, welcome: str, limits: Limits) -> Starlette:
         Route("/media/{position:int}/{kind}", pages.media),
         Mount("/web", StaticFiles(directory=WEB)),
     ]
-    handlers: dict[Any, Any] = {RefusedError: _on_refused}
     guards = Middleware(BaseHTTPMiddleware, dispatch=_guards(limits.requests_per_second))
-    return Starlette(routes=routes, exception_handlers=handlers, middleware=[guards])
-
-
-async def _on_refused(request: Request, error: RefusedError) -> Response:
-    return JSONResponse({"error": error.reason}, error.status)
+    return Starlette(routes=routes, middleware=[guards])
 
 
 class _Pages:
