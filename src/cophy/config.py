@@ -30,14 +30,14 @@ from cophy.schemas import AuditConfig, DataConfig, DerenderConfig, TrainConfig, 
 from cophy.training.run import differences, plain_value
 
 OPEN = ("trainer.",)  # takes any argument of lightning.Trainer with +
-PACKAGE = Path(cophy.__file__).parent
-IN_WHEEL = PACKAGE / "conf"  # pyproject.toml puts it there
-CONF = IN_WHEEL if IN_WHEEL.exists() else PACKAGE.parents[1] / "conf"
+_PACKAGE = Path(cophy.__file__).parent
+_IN_WHEEL = _PACKAGE / "conf"  # pyproject.toml puts it there
+CONF = _IN_WHEEL if _IN_WHEEL.exists() else _PACKAGE.parents[1] / "conf"
 
-Config = TypeVar("Config")
+ConfigT = TypeVar("ConfigT")
 
 
-def to_config(config: DictConfig, schema: type[Config]) -> Config:
+def to_config(config: DictConfig, schema: type[ConfigT]) -> ConfigT:
     """Return the typed configuration, made of plain Python objects.
 
     Raises:
@@ -173,7 +173,7 @@ def _compose_data(scenario: str, size: str, sources: str) -> dict[str, Any]:
 
 # The variant of a run
 
-NAMES = ("scenario", "split", "model", "ablation", "source")  # groups whose choices are parts of the path
+PATH_GROUPS = ("scenario", "split", "model", "ablation", "source")  # groups whose choices are parts of the path
 CHOICES = ("size", "confounders", "trainer", "optimizer", "schedule")  # groups whose choice is shorter than its keys
 COMPARED = ("size", "data_seed", "scenario", "split", "model", "training", "trainer", "derenderer")
 COMPARED_FOR_DERENDERERS = ("render", "num_images", "num_objects")
@@ -195,11 +195,11 @@ def variant(config: DictConfig, hydra_config: HydraConf) -> str:
     Returns:
         For example "+confounders-released+hidden_dim-8"; if that is long, its beginning and a hash of all.
     """
-    keys = {_key_of(override) for override in hydra_config.overrides.task} - {*NAMES}
+    keys = {_key_of(override) for override in hydra_config.overrides.task} - {*PATH_GROUPS}
     if {key.partition(".")[0] for key in keys} <= IGNORED:
         return ""
     choices, sources = hydra_config.runtime.choices, str(hydra_config.runtime.config_sources)
-    names = [f"{group}={choices[group]}" for group in NAMES]
+    names = [f"{group}={choices[group]}" for group in PATH_GROUPS]
     expected = _compose_choices(sources, *names)
     groups = [group for group in CHOICES if choices.get(group) != expected.hydra.runtime.choices.get(group)]
     if groups:

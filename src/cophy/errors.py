@@ -1,22 +1,21 @@
-"""The one exception whose message is meant for the person at the terminal, and what a full disk leaves."""
+"""The exception for mistakes of the user, whose message is printed in one line, and the message for a full disk."""
 
 import re
 
-SAFE = "finished runs, shards and last checkpoints are safe; free some, and the same command goes on"
-
+SAFE = "finished runs, shards and last checkpoints are safe; free some space and run the same command to continue"
 
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*", re.ASCII)
 
 
 class CophyError(Exception):
-    """Something the user can mend: its message names the file or key, and the remedy."""
+    """An error that the user can fix: its message names the file or key, and the remedy."""
 
 
 def check_name(key: str, name: str) -> None:
-    """Refuse a name that is no part of a path: data and runs lie in folders that are called by it.
+    """Refuse a name that cannot be part of a path: data and runs are stored in folders with such names.
 
     Raises:
-        ValueError: It has other characters than letters, digits, dot, dash and underscore.
+        ValueError: It has characters other than letters, digits, dot, dash and underscore.
     """
     if not _NAME.fullmatch(name):
         raise ValueError(

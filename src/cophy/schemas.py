@@ -3,6 +3,7 @@
 The schemas of models are derived from their constructors; `register` makes all schemas known to Hydra.
 """
 
+import math
 from dataclasses import dataclass, field, make_dataclass
 from enum import Enum
 from functools import cache
@@ -28,7 +29,7 @@ from cophy.training.settings import Training
 
 @dataclass
 class OracleConfig:
-    """An oracle, see `cophy.oracles.run`: no network, so nothing is trained. The numbers: see conf/model/."""
+    """Arguments of `cophy.oracles.run.Oracle`; conf/model/ explains the numbers."""
 
     _target_: str = "cophy.oracles.run.Oracle"
     oracle: str = MISSING
@@ -39,17 +40,17 @@ class OracleConfig:
 
     def __post_init__(self) -> None:
         if self.oracle not in ORACLES:
-            raise ValueError(f"model.oracle={self.oracle} is none of {', '.join(ORACLES)}")
+            raise ValueError(f"model.oracle={self.oracle} is not among {', '.join(ORACLES)}")
         if self.draws < 4:
-            raise ValueError("model.draws must be at least 4: the variance of a mean takes two twin pairs")
+            raise ValueError("model.draws must be at least 4: the variance of a mean needs two twin pairs")
         if self.max_configurations < 1 or self.noise <= 0:
             raise ValueError("model: max_configurations must be at least 1 and noise positive")
         if self.max_experiments < 2 or self.max_experiments % 2:
-            raise ValueError("model.max_experiments must be even and at least 2: both twins are asked about")
+            raise ValueError("model.max_experiments must be even and at least 2, so that both twins are included")
 
     @property
     def settings(self) -> OracleSettings:
-        """What all oracles are asked with."""
+        """The settings that all oracles share."""
         return OracleSettings(self.draws, self.max_configurations, self.noise, self.max_experiments)
 
 
@@ -59,15 +60,15 @@ class TrainerConfig:
 
     max_epochs: int = MISSING
     accelerator: str = MISSING
-    devices: Any = MISSING  # a number, "auto" or a list of numbers; such unions OmegaConf 2.3 cannot merge
+    devices: Any = MISSING  # a number, "auto" or a list of numbers; OmegaConf 2.3 cannot merge such unions
     precision: str = MISSING
     deterministic: bool = MISSING
     gradient_clip_val: float | None = None
     max_time: str | None = None
     check_val_every_n_epoch: int = 1
-    limit_train_batches: Any = None  # a number of batches, or a share; likewise
-    limit_val_batches: Any = None  # a number of batches, or a share
-    limit_test_batches: Any = None  # a number of batches, or a share
+    limit_train_batches: Any = None  # a number of batches, or a share of them
+    limit_val_batches: Any = None
+    limit_test_batches: Any = None
     fast_dev_run: bool = False
     log_every_n_steps: int = 50
     enable_progress_bar: bool = True
@@ -86,7 +87,7 @@ class TrainerConfig:
             raise ValueError(f"trainer.check_val_every_n_epoch={self.check_val_every_n_epoch} must be at least 1")
 
     def check_validates(self) -> None:
-        """Refuse a training that is never validated; one that goes on from a checkpoint may have its best from there.
+        """Refuse a training without validation; one that resumes from a checkpoint may have its best epoch from there.
 
         Raises:
             ValueError: No epoch is validated, or no batch of it.
@@ -101,7 +102,7 @@ class TrainerConfig:
 MAX_SEED = 2**32 - 1  # of NumPy's global generator, which Lightning seeds
 MAX_THREADS = 1024
 
-# positions= -> the splits of which a predictor sees what a de-renderer estimates; of the others it sees the truth
+# positions= -> the splits in which a predictor sees estimated positions; in the others it sees true ones
 ESTIMATED: dict[str, tuple[str, ...]] = {
     "ground_truth": (),
     "derendered": ("train", "val", "test"),
@@ -113,7 +114,7 @@ SCENARIOS: dict[str, type[Scenario]] = {"blocktower": Blocktower, "balls": Balls
 
 @dataclass
 class DataConfig:
-    """What every command that touches data takes. num_objects: None for those that the split needs."""
+    """Keys of every command that reads data. num_objects: None for those that the split needs."""
 
     scenario: Scenario = MISSING
     split: Split = MISSING
@@ -123,7 +124,7 @@ class DataConfig:
     data_seed: int = MISSING
 
     def __post_init__(self) -> None:
-        _at_least(0, data_seed=self.data_seed)
+        _check_range("data_seed", self.data_seed, 0)
         _check_folders(self)
         if not isinstance(self.scenario, SCENARIOS.get(self.scenario.name, Scenario)):
             raise ValueError(f"scenario.name={self.scenario.name} is the name of another scenario")
@@ -131,27 +132,28 @@ class DataConfig:
 
 @dataclass
 class MakeDataConfig(DataConfig):
-    """What every command that makes data takes. workers: processes."""
+    """Keys of every command that generates data. workers: processes."""
 
     workers: int = MISSING
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _at_least(1, workers=self.workers)
+        _check_range("workers", self.workers, 1)
 
 
 @dataclass
 class RenderDataConfig(MakeDataConfig):
-    """What every command that renders data takes."""
+    """Keys of every command that renders data."""
 
     render: RenderSettings = MISSING
 
 
 @dataclass
 class GenerateConfig(RenderDataConfig):
-    """generate.py. seed: a short name of data_seed. frames: which are rendered. model: None, or an oracle.
+    """Keys of generate.py.
 
-    part, parts: see `_check_part`.
+    seed: short for data_seed. frames: those to render. model: an oracle whose forecasts are stored, or None.
+    part, parts: only every `parts`-th shard is generated, from `part` on.
     """
 
     seed: int = MISSING
@@ -165,12 +167,12 @@ class GenerateConfig(RenderDataConfig):
         _check_part(self.part, self.parts)
         _check_frames(self.frames)
         if not (self.model is None or isinstance(self.model, OracleConfig)):
-            raise ValueError("model: only what an oracle says (model=oracle_feedforward) is kept beside data")
+            raise ValueError("model: only forecasts of oracles are stored with data (model=oracle_feedforward)")
 
 
 @dataclass
 class AuditConfig(DataConfig):
-    """audit.py. replayed_pairs: twin pairs per dataset that are made and simulated again. seed: as in generate.py."""
+    """Keys of audit.py. replayed_pairs: twin pairs per dataset that are generated and simulated again."""
 
     source: Source = MISSING
     replayed_pairs: int = MISSING
@@ -179,12 +181,12 @@ class AuditConfig(DataConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _at_least(1, replayed_pairs=self.replayed_pairs)
+        _check_range("replayed_pairs", self.replayed_pairs, 1)
 
 
 @dataclass
 class LookConfig(RenderDataConfig):
-    """look.py. experiment: shown in time. num_shown: experiments on the contact sheet."""
+    """Keys of look.py. experiment: the one shown over time. num_shown: experiments on the contact sheet."""
 
     experiment: int = MISSING
     num_shown: int = MISSING
@@ -192,12 +194,12 @@ class LookConfig(RenderDataConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _at_least(1, num_shown=self.num_shown)
+        _check_range("num_shown", self.num_shown, 1)
 
 
 @dataclass
 class ExportConfig(RenderDataConfig):
-    """export.py. format: of a released dataset. clips: whether pictures are exported. root: the folder to write to."""
+    """Keys of export.py. format: that of a released dataset. clips: whether images are exported. root: output folder."""
 
     format: str = MISSING
     clips: bool = MISSING
@@ -211,9 +213,10 @@ class ExportConfig(RenderDataConfig):
 
 @dataclass
 class DerenderConfig(MakeDataConfig):
-    """derender.py. derenderer: a checkpoint, None for the one that fits among the runs in `outputs`.
+    """Keys of derender.py.
 
-    frames: which are looked at. part, parts: see `_check_part`.
+    derenderer: a checkpoint; None for the one in `outputs` that fits. frames: those to de-render. part, parts: as in
+    `GenerateConfig`.
     """
 
     source: Source = MISSING
@@ -231,10 +234,11 @@ class DerenderConfig(MakeDataConfig):
 
 @dataclass
 class TrainConfig(RenderDataConfig):
-    """train.py. seed: of the training. render, num_images, num_objects: what a de-renderer is trained on.
+    """Keys of train.py.
 
-    derenderer: checkpoint of the one whose estimates a predictor sees; None finds it in outputs/. model: a schema of
-    `models`, or any keys for a model of one's own. logger: a `_target_` and its arguments each.
+    seed: that of the training. render, num_images, num_objects: training data of a de-renderer. derenderer: checkpoint
+    of the one whose estimates a predictor sees; None for the one in outputs/ that fits. model: keys of a schema, or
+    any keys for a model of the user. logger: a `_target_` and its arguments each.
     """
 
     source: Source = MISSING
@@ -255,24 +259,25 @@ class TrainConfig(RenderDataConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _at_least(0, seed=self.seed)
-        _at_most(MAX_SEED, seed=self.seed)
-        _at_most(MAX_THREADS, threads=self.threads)
-        _at_least(1, threads=self.threads, figures_every_n_epochs=self.figures_every_n_epochs)
-        _at_least(10, num_images=self.num_images)
+        _check_range("seed", self.seed, 0, MAX_SEED)
+        _check_range("threads", self.threads, 1, MAX_THREADS)
+        _check_range("figures_every_n_epochs", self.figures_every_n_epochs, 1)
+        _check_range("num_images", self.num_images, 10)
         if self.ckpt is not None and self.predictor is not None:
-            raise ValueError("ckpt= goes on with a training, predictor= spares one: give one of them")
+            raise ValueError("ckpt= resumes a training, predictor= replaces one: give one of them")
         if self.ckpt is None:
             self.trainer.check_validates()
         if not self.optimized_metric.startswith("val/"):
-            raise ValueError(f"optimized_metric={self.optimized_metric} must be of the validation split: val/mse, …")
+            raise ValueError(
+                f"optimized_metric={self.optimized_metric} must be a metric of the validation split: val/mse, …"
+            )
         if self.positions not in ESTIMATED:
             raise ValueError(f"positions={self.positions} is not among {', '.join(ESTIMATED)}")
 
 
 @dataclass
 class PredictConfig:
-    """predict.py, whose YAML explains the keys."""
+    """Keys of predict.py; conf/predict.yaml explains them."""
 
     observed: str = MISSING
     initial: str = MISSING
@@ -288,7 +293,7 @@ class PredictConfig:
 
 @dataclass
 class ReportConfig:
-    """report.py. source: of the data that the runs are on. outputs: where train.py wrote its runs. all: print all."""
+    """Keys of report.py. source: that of the runs' data. outputs: where train.py wrote its runs. all: print all rows."""
 
     source: Source = MISSING
     outputs: str = MISSING
@@ -312,22 +317,14 @@ def _check_frames(name: str) -> None:
 
 
 def _check_part(part: int, parts: int) -> None:
-    """Only every `parts`-th shard is made, from `part` on."""
-    _at_least(1, parts=parts)
-    if not 0 <= part < parts:
-        raise ValueError(f"part={part} must be from 0 to parts - 1 = {parts - 1}")
+    _check_range("parts", parts, 1)
+    _check_range("part", part, 0, parts - 1)
 
 
-def _at_least(smallest: int, **values: int) -> None:
-    for key, value in values.items():
-        if value < smallest:
-            raise ValueError(f"{key}={value} must be at least {smallest}")
-
-
-def _at_most(largest: int, **values: int) -> None:
-    for key, value in values.items():
-        if value > largest:
-            raise ValueError(f"{key}={value} must be at most {largest}")
+def _check_range(key: str, value: int, smallest: int, largest: float = math.inf) -> None:
+    if not smallest <= value <= largest:
+        limits = f"at least {smallest}" if largest == math.inf else f"from {smallest} to {largest}"
+        raise ValueError(f"{key}={value} must be {limits}")
 
 
 ACTIONS = ("serve", "export", "simulate", "power")
@@ -335,7 +332,7 @@ ACTIONS = ("serve", "export", "simulate", "power")
 
 @dataclass
 class StudyConfig(MakeDataConfig):
-    """Configuration of study.py; conf/study.yaml explains the keys."""
+    """Keys of study.py; conf/study.yaml explains them."""
 
     action: str = MISSING
     participants: int = MISSING
@@ -351,10 +348,8 @@ class StudyConfig(MakeDataConfig):
         super().__post_init__()
         if self.action not in ACTIONS:
             raise ValueError(f"action={self.action} is not among {', '.join(ACTIONS)}")
-        if self.participants < 2:
-            raise ValueError(f"participants={self.participants} must be at least 2")
-        if not 0 <= self.port < 65536:
-            raise ValueError(f"port={self.port} must be from 0 to 65535")
+        _check_range("participants", self.participants, 2)
+        _check_range("port", self.port, 0, 65535)
 
 
 SCHEMAS: dict[str, dict[str, type]] = {

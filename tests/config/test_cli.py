@@ -7,7 +7,7 @@ import pytest
 from tests.commands import run
 
 REFUSED = [  # override, and what the error must contain
-    ("seed=99999999999", "seed=99999999999 must be at most"),
+    ("seed=99999999999", "seed=99999999999 must be from 0 to"),
     ("model.hidden_dim=10000000000", "model: not enough memory"),
     ("trainer.accelerator=foo", "trainer: You selected an invalid accelerator name"),
     ("trainer.devices=0", "trainer: "),

@@ -150,7 +150,7 @@ MISTAKES = {
     "+modle=3": "modle: there is no such key",
     "+scenario.solver.steps=3": "scenario.solver.steps: there is no such key",
     "+trainer.max_epoch=3": "unexpected keyword argument 'max_epoch'",
-    "optimized_metric=test/mse": "optimized_metric=test/mse must be of the validation split",
+    "optimized_metric=test/mse": "optimized_metric=test/mse must be a metric of the validation split",
     "model.gating=never": "model.gating",
     "trainer.max_epoch=3": "did you mean max_epochs?",
     "max_epochs=3": "(did you mean trainer.max_epochs?)",

@@ -19,11 +19,11 @@ from cophy.training.checkpoints import (
     Checkpoint,
     WholeCheckpoints,
     build_network,
-    check_plain,
+    check_plain_values,
     check_resumable,
     check_trained,
-    read_bytes,
     read_checkpoint,
+    read_file,
     restore_network,
 )
 from tests.training.saved import model_of, saved, weights_of
@@ -72,7 +72,7 @@ def test_a_file_larger_than_any_checkpoint_is_not_read(tmp_path: Path) -> None:
     path.touch()
     os.truncate(path, 2**40)  # a sparse file
     with pytest.raises(CophyError, match=r"best\.ckpt is not a checkpoint of train\.py: it is larger than 4 GiB"):
-        read_bytes(path)
+        read_file(path)
 
 
 def compress(path: Path, to: Path) -> None:
@@ -112,7 +112,7 @@ def double(times: int) -> list[Any]:
 
 
 def test_a_configuration_is_plain() -> None:
-    check_plain({"a": {"b": [1, 2.5, True, None, "#00ff00"], "c": {}}, "d": [], "e": -(2**63) + 1})
+    check_plain_values({"a": {"b": [1, 2.5, True, None, "#00ff00"], "c": {}}, "d": [], "e": -(2**63) + 1})
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_a_configuration_is_plain() -> None:
 )
 def test_what_no_configuration_holds_is_refused(tree: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        check_plain([tree])
+        check_plain_values([tree])
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_what_no_configuration_holds_is_refused(tree: Any, message: str) -> None
 def test_weights_that_are_not_tensors_by_name_are_refused(tmp_path: Path, state: object) -> None:
     torch.save({"origin": {}, "state_dict": state}, tmp_path / "a.ckpt")
     with pytest.raises(CophyError, match=r"a\.ckpt is not a checkpoint of train\.py: it has no weights"):
-        read_checkpoint(read_bytes(tmp_path / "a.ckpt"), tmp_path / "a.ckpt")
+        read_checkpoint(read_file(tmp_path / "a.ckpt"), tmp_path / "a.ckpt")
 
 
 class Keep(nn.Module):
@@ -269,7 +269,7 @@ def test_weights_of_other_shapes_are_named(
     def check_with(name: str, weights: dict[str, Tensor]) -> None:
         path = saved(tmp_path / name, model, weights, seed=0)
         torch.save(torch.load(path, weights_only=True) | {"optimizer_states": []}, path)
-        check(path, read_checkpoint(read_bytes(path), path).origin, build_network(model))
+        check(path, read_checkpoint(read_file(path), path).origin, build_network(model))
 
     check_with("whole.ckpt", weights)
     name = min(weights)

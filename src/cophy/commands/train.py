@@ -99,7 +99,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     module = make_module(network, config)
     data = make_datamodule(config, plain["model"], run, network)
     origin = make_origin(plain, data.trained_on)
-    check_checkpoints(config, origin, network)
+    check_checkpoints(config, origin, network, run.model)
     arguments = plain["trainer"] | {"max_epochs": num_epochs(config, network)}
     figures = module.make_figures(config.figures_every_n_epochs)
     trainer = make_trainer(run, origin, figures, loggers=config.logger, arguments=arguments)
@@ -174,7 +174,7 @@ def find_start(config: TrainConfig, run: Run, training: str, trainer: "Trainer",
     return decide_first(trainer, lambda: start_training(run, training, reuse=reuse, ckpt=path_of(config.ckpt)))
 
 
-def check_checkpoints(config: TrainConfig, origin: dict[str, Any], network: "nn.Module") -> None:
+def check_checkpoints(config: TrainConfig, origin: dict[str, Any], network: "nn.Module", name: str) -> None:
     """Refuse a checkpoint given as ckpt= or predictor= that does not fit the model or its training."""
     from cophy.models.derenderer import Derenderer
     from cophy.training.checkpoints import check_resumable, check_trained
@@ -183,9 +183,9 @@ def check_checkpoints(config: TrainConfig, origin: dict[str, Any], network: "nn.
     given = {"ckpt": ckpt, "predictor": predictor, "trainer.fast_dev_run": config.trainer.fast_dev_run or None}
     for key, value in given.items():
         if value is not None and not is_trainable(network):
-            raise CophyError(f"{key}={value}: {origin['model']['_target_']} has nothing to train")
+            raise CophyError(f"{key}={value}: {name} has nothing to train")
     if predictor is not None and isinstance(network, Derenderer):
-        raise CophyError(f"predictor={predictor}: a de-renderer predicts nothing")
+        raise CophyError(f"predictor={predictor}: {name} predicts nothing")
     if ckpt is not None:
         check_resumable(ckpt, origin, network)
     if predictor is not None:

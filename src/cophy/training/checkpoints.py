@@ -34,7 +34,7 @@ KEYS: dict[str, tuple[type, ...]] = {  # of an origin, with their types
     "trainer": (dict,),
 }
 LATER_KEYS: dict[str, Any] = {"seed": None, "trainer": {}}  # that earlier versions did not store
-MAX_FILE_BYTES = 4 << 30  # ours: a predictor has a megabyte, the paper's de-renderer some hundred
+MAX_CHECKPOINT_BYTES = 4 << 30  # ours: a predictor has a megabyte, the paper's de-renderer some hundred
 MAX_VALUES, MAX_DEPTH = 100_000, 10  # ours: an origin has some 200 values, 4 levels deep
 MAX_SIZE = 1 << 14  # ours: layers as wide as this do not fit into a checkpoint of 4 GiB, and nothing is so deep
 NETWORK = "network."  # prefix of the names of the network's weights
@@ -91,7 +91,7 @@ class WholeCheckpoints(CheckpointIO):
 
     def load_checkpoint(self, path: Any, map_location: Any = None, weights_only: bool | None = None) -> dict[str, Any]:
         """Return the checkpoint without the state of ModelCheckpoint callbacks, whose paths may be anybody's."""
-        checkpoint = _load(read_bytes(Path(path)), Path(path), map_location)
+        checkpoint = _load(read_file(Path(path)), Path(path), map_location)
         callbacks = checkpoint.get("callbacks", {})
         if not isinstance(callbacks, dict):
             raise CophyError(f"{path} is not a checkpoint of train.py")
@@ -118,14 +118,14 @@ def make_origin(config: Mapping[str, Any], trained_on: list[Any]) -> dict[str, A
     return {**{key: config[key] for key in keys}, "trainer": trainer, "trained_on": trained_on}
 
 
-def read_bytes(path: Path) -> bytes:
+def read_file(path: Path) -> bytes:
     """Read the file of a checkpoint, if it is one that is not too large."""
     if not path.is_file():
         raise CophyError(
             f"{path} is not a file: name a checkpoint of train.py, for example outputs/.../checkpoints/best.ckpt"
         )
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise CophyError(f"{path} is not a checkpoint of train.py: it is larger than {MAX_FILE_BYTES >> 30} GiB")
+    if path.stat().st_size > MAX_CHECKPOINT_BYTES:
+        raise CophyError(f"{path} is not a checkpoint of train.py: it is larger than {MAX_CHECKPOINT_BYTES >> 30} GiB")
     return path.read_bytes()
 
 
@@ -167,7 +167,7 @@ def _load(content: bytes, source: Path, map_location: Any) -> dict[str, Any]:
 def _check_origin(origin: Any, source: Path) -> dict[str, Any]:
     """Return an origin with today's class names, after a check of its keys, types and size."""
     try:
-        check_plain(origin)
+        check_plain_values(origin)
         if not isinstance(origin, dict):
             raise ValueError("no origin")
         origin = LATER_KEYS | origin
@@ -184,7 +184,7 @@ def _check_origin(origin: Any, source: Path) -> dict[str, Any]:
     return dict(_with_current_names(origin))
 
 
-def check_plain(tree: Any) -> None:
+def check_plain_values(tree: Any) -> None:
     """Check that a tree holds only what a configuration holds: few plain values without references.
 
     Raises:
@@ -338,7 +338,9 @@ def check_resumable(ckpt: Path, origin: dict[str, Any], network: nn.Module) -> N
     is_old = checkpoint.origin["seed"] is None
     stored, wanted = (_settings(each, with_later_keys=not is_old) for each in (checkpoint.origin, origin))
     if keys := _differing(*({key: each[key] for key in each.keys() - MAY_CHANGE} for each in (stored, wanted))):
-        raise CophyError(f"ckpt={ckpt} belongs to another training ({keys}): use the same settings, or train anew")
+        raise CophyError(
+            f"ckpt={ckpt} belongs to another training ({keys}): use the same settings, or train from scratch"
+        )
     _check_weights(ckpt, checkpoint, network)
 
 
@@ -373,7 +375,7 @@ def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 def _read(path: Path, key: str, name: str) -> Checkpoint:
     if not path.is_file():
         raise CophyError(f"{key}={path} is not a file: a run keeps {name} in its checkpoints/")
-    return read_checkpoint(read_bytes(path), path)
+    return read_checkpoint(read_file(path), path)
 
 
 def _check_weights(source: Path, checkpoint: Checkpoint, network: nn.Module) -> None:

@@ -18,7 +18,7 @@ def make_optimizer(module: L.LightningModule, training: Training) -> OptimizerLR
     """Return the optimiser of a module's parameters and its schedule, stepped once per epoch.
 
     Args:
-        module: Attached to a Trainer, whose `max_epochs` the schedule is told.
+        module: Attached to a Trainer; its `max_epochs` is an argument of the schedule.
         training: `optimizer` is called with the parameters, `schedule` with the optimiser and the number of epochs.
     """
     try:

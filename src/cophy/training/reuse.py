@@ -20,7 +20,7 @@ from torch import nn
 import cophy
 from cophy.atomic_files import read_plain, sha256, write_atomically
 from cophy.errors import CophyError
-from cophy.training.checkpoints import read_bytes
+from cophy.training.checkpoints import read_file
 from cophy.training.run import Run
 
 log = logging.getLogger(__name__)
@@ -112,7 +112,7 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> 
         resumed = stopped["resumed"] + 1
         _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
         return Start(None, last, resumed + (ckpt is not None), keeps_curves=True)
-    best = read_bytes(ckpt.with_name("best.ckpt")) if ckpt and ckpt.with_name("best.ckpt").is_file() else None
+    best = read_file(ckpt.with_name("best.ckpt")) if ckpt and ckpt.with_name("best.ckpt").is_file() else None
     is_last = ckpt is not None and last.exists() and ckpt.samefile(last)
     if last.exists() and (stopped or is_last):
         log.warning(

@@ -34,7 +34,7 @@ SWEEP = "COPHY_SWEEP"  # environment variable: a unique name of the sweep that a
 LOGGED = (  # metrics in the last line of a run's log
     *("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy"),
 )
-NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "size", "variant")
+RUN_NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "size", "variant")
 # keys without effect on results: where and how fast a run computes, what is displayed, and the names of a scenario's splits
 NO_RESULT = {
     *("trainer.accelerator", "trainer.devices", "trainer.num_nodes", "trainer.strategy", "trainer.profiler"),
@@ -83,7 +83,7 @@ class Run:
 
     def names(self) -> dict[str, Any]:
         """Return the names without the directory."""
-        return {name: getattr(self, name) for name in NAMES}
+        return {name: getattr(self, name) for name in RUN_NAMES}
 
     @property
     def place(self) -> Path:

@@ -24,13 +24,13 @@ from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import RenderSettings
-from cophy.training.checkpoints import MODELS, misfit, read_bytes, read_checkpoint, restore_network
+from cophy.training.checkpoints import MODELS, misfit, read_checkpoint, read_file, restore_network
 from cophy.training.metrics import NOT_FINITE
 
 DERENDERER = f"{Derenderer.__module__}.{Derenderer.__name__}"
 FRAMES_PER_BATCH = 32
 
-Config = TypeVar("Config")
+SchemaT = TypeVar("SchemaT")
 
 
 class TrainedDerenderer:
@@ -47,7 +47,7 @@ class TrainedDerenderer:
     """
 
     def __init__(self, source: Path) -> None:
-        content = read_bytes(source)
+        content = read_file(source)
         self.source, self.name = source, _name(content)
         self._origin = origin = read_checkpoint(content, source).origin
         if origin["model"]["_target_"] != DERENDERER:
@@ -100,7 +100,7 @@ class TrainedDerenderer:
     def _loaded(self) -> Derenderer:
         if self._network is None:
             torch.set_num_threads(1)  # several processes work in parallel
-            content = read_bytes(self.source)
+            content = read_file(self.source)
             if _name(content) != self.name:
                 raise CophyError(f"{self.source} was replaced while it was used: run again")
             network = restore_network(read_checkpoint(content, self.source), self.source)
@@ -157,7 +157,7 @@ class TrainedPredictor:
     """
 
     def __init__(self, source: Path, scenarios: Mapping[str, type[Scenario]]) -> None:
-        checkpoint = read_checkpoint(read_bytes(source), source)
+        checkpoint = read_checkpoint(read_file(source), source)
         origin = checkpoint.origin
         model = origin["model"]
         target = model["_target_"]
@@ -195,7 +195,7 @@ class TrainedPredictor:
             return self.network(inputs).position * inputs.presence[:, None, :, None]
 
 
-def _typed(schema: type[Config], keys: dict[str, Any], source: Path) -> Config:
+def _typed(schema: type[SchemaT], keys: dict[str, Any], source: Path) -> SchemaT:
     """Build an object of a dataclass from keys of a checkpoint.
 
     Raises:
@@ -288,7 +288,7 @@ def derender(
     parts: int,
     workers: int,
 ) -> None:
-    """Store estimates of positions and presence beside datasets.
+    """Store estimates of positions and presence next to datasets.
 
     Args:
         sets: The datasets; they have to fit the de-renderer.
