@@ -1,35 +1,58 @@
-"""Temporary files: whose are left behind."""
+"""Files that are written whole or not at all."""
 
+import errno
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from cophy.atomic_files import ABANDONED_S, MACHINE, appearing_whole, is_left_behind
+from cophy.atomic_files import ABANDONED_S, MACHINE, appearing_whole, is_abandoned
 
 
-def test_a_temporary_file_is_left_behind_when_its_writer_is_gone(tmp_path: Path) -> None:
+def test_a_temporary_file_is_abandoned_when_its_process_has_ended(tmp_path: Path) -> None:
     with appearing_whole(tmp_path / "shard.v2.h5") as temporary:
         temporary.write_bytes(b"half")
-        assert not is_left_behind(temporary)
+        assert not is_abandoned(temporary)
     killed = "from pathlib import Path; import os, sys; from cophy.atomic_files import appearing_whole\n"
     killed += "with appearing_whole(Path(sys.argv[1])) as path: path.write_bytes(b'half'); os._exit(9)"
     assert subprocess.run([sys.executable, "-c", killed, str(tmp_path / "shard.h5")], check=False).returncode == 9
-    (left,) = tmp_path.glob("shard.h5.*.tmp")
-    assert is_left_behind(left)
+    (temporary,) = tmp_path.glob("shard.h5.*.tmp")
+    assert is_abandoned(temporary)
 
 
-def test_what_another_machine_writes_to_is_left_behind_after_a_day(tmp_path: Path) -> None:
+def test_a_temporary_file_of_another_machine_is_abandoned_after_a_day(tmp_path: Path) -> None:
     path = tmp_path / f"shard.h5.{'0' * len(MACHINE)}-1-a.tmp"
     path.write_bytes(b"half")
-    assert not is_left_behind(path)
+    assert not is_abandoned(path)
     os.utime(path, (0, path.stat().st_mtime - ABANDONED_S - 1))
-    assert is_left_behind(path)
+    assert is_abandoned(path)
 
 
 @pytest.mark.parametrize("name", ["shard.h5.half.tmp", "shard.h5.a-b.tmp", f"shard.h5.{MACHINE}-x-a.tmp", ".tmp"])
-def test_what_names_no_writer_is_left_behind(tmp_path: Path, name: str) -> None:
+def test_a_temporary_file_without_the_name_of_a_process_is_abandoned(tmp_path: Path, name: str) -> None:
     (tmp_path / name).touch()
-    assert is_left_behind(tmp_path / name)
+    assert is_abandoned(tmp_path / name)
+
+
+def test_a_full_disk_is_named_although_the_writer_reports_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(1, 1, 0))
+    with pytest.raises(OSError, match="No space left") as raised, appearing_whole(tmp_path / "clip.mp4") as temporary:
+        temporary.write_bytes(b"half")
+    assert raised.value.filename == str(tmp_path / "clip.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_that_is_full_when_hdf5_closes_a_file_is_named(tmp_path: Path) -> None:
+    text = (
+        "Can't decrement id ref count (file write failed: filename = 'x', errno = 28, error message = 'No space left')"
+    )
+    with pytest.raises(OSError, match="No space left") as raised, appearing_whole(tmp_path / "shard.h5"):
+        raise RuntimeError(text)
+    assert raised.value.errno == errno.ENOSPC
+    with pytest.raises(RuntimeError, match="no write intent"), appearing_whole(tmp_path / "shard.h5"):
+        raise RuntimeError("no write intent on file")

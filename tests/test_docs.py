@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cophy.dataset.fields import experiment_fields
+from cophy.dataset.states import experiment_fields
 from tests.conftest import ROOT, SCENARIOS, tiny_spec
 
 PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)]

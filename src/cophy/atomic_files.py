@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files that are written whole or not at all, and named if the disk is full."""
 
 import errno
 import hashlib
@@ -12,8 +12,8 @@ from pathlib import Path
 from uuid import uuid4
 
 MACHINE = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
-ABANDONED_S = 86400  # ours: what nobody wrote to for a day is taken to be left behind
-FULL = 1 << 20  # bytes; ours: with less free space, a failed write counts as a full disk
+ABANDONED_S = 86400  # ours: a temporary file of another machine is abandoned after a day without a write
+FULL = 1 << 20  # bytes; ours: with less free space, files count as not written
 
 
 def check_space(path: Path) -> None:
@@ -23,13 +23,13 @@ def check_space(path: Path) -> None:
 
 
 def read_plain(path: Path) -> bytes:
-    """What a file holds.
+    """Return the content of a file.
 
     Raises:
-        OSError: It is not there, or no plain file: to open a pipe would wait for ever.
+        OSError: It does not exist or is not a regular file: opening a pipe would block forever.
     """
     if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "it is no plain file", str(path))
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     return path.read_bytes()
 
 
@@ -41,20 +41,25 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 @contextmanager
 def appearing_whole(path: Path) -> Iterator[Path]:
-    """A temporary name to write to; what was written is flushed and renamed at the end, or removed on failure.
+    """Yield a temporary path to write to; it is flushed and renamed at the end, or removed after an error.
 
-    The name is nobody else's, so that two processes that write the same file, on whatever machines, do not meet. It tells
-    who writes, see `is_left_behind`.
+    The temporary name is unique, so that processes on any machines can write the same file. It contains the process that
+    writes it, see `is_abandoned`.
 
     Raises:
-        OSError: It cannot be written; the error names the file that was to appear.
+        OSError: It cannot be written or the disk is full; the error names `path`.
     """
     temporary = path.with_name(f"{path.name}.{MACHINE}-{os.getpid()}-{uuid4().hex[:8]}.tmp")
     try:
         yield temporary
         with open(temporary, "rb") as file:
             os.fsync(file.fileno())
+        check_space(temporary)
         os.replace(temporary, path)
+    except RuntimeError as error:  # HDF5 has no other error for a full disk when it closes a file
+        if f"errno = {errno.ENOSPC}," in str(error):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
+        raise
     except OSError as error:
         if error.errno is not None and (error.filename is None or str(error.filename) == str(temporary)):
             error.filename = str(path)
@@ -63,42 +68,36 @@ def appearing_whole(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def is_left_behind(temporary: Path) -> bool:
-    """Whether the process that wrote to this temporary name is gone. Of one that cannot be asked, its last write tells."""
+def is_abandoned(temporary: Path) -> bool:
+    """Return whether the process that writes a temporary file has ended; on another machine, judge by the last write."""
     try:
         machine, process, _ = temporary.name.rpartition(".tmp")[0].rpartition(".")[2].split("-")
         if machine == MACHINE:
             os.kill(int(process), 0)  # sends nothing
         return time.time() - temporary.stat().st_mtime > ABANDONED_S
-    except PermissionError:  # it runs, for somebody else
+    except PermissionError:  # the process of another user
         return False
-    except (ValueError, IndexError, OSError):  # no name of ours, or no such process; or the file itself is gone
+    except (ValueError, OSError):  # a different name, no such process, or no such file
         return True
 
 
 @contextmanager
 def without_leftovers(directory: Path) -> Iterator[None]:
-    """Begin and end without half-written files: of a process that was killed, or of workers that a full disk ended.
-
-    Those of processes that may be at work beside stay. Workers of what was killed may take a moment to end.
-    """
-    _remove_leftovers(directory)
+    """Remove abandoned temporary files before and after: those of killed processes, and of workers that a full disk ended."""
     try:
+        _remove_abandoned(directory)
         yield
     finally:
-        _remove_leftovers(directory)
+        _remove_abandoned(directory)
 
 
-def _remove_leftovers(directory: Path) -> None:
+def _remove_abandoned(directory: Path) -> None:
     for temporary in directory.glob("*.tmp*"):
-        if is_left_behind(temporary):
+        if is_abandoned(temporary):
             temporary.unlink(missing_ok=True)
 
 
 def sha256(path: Path) -> str:
-    """Digest of a file."""
-    digest = hashlib.sha256()
+    """Return the SHA-256 of a file."""
     with open(path, "rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -10,7 +10,7 @@ from omegaconf.errors import OmegaConfBaseException
 from cophy.cli import OWN_FOLDER, explain
 from cophy.config import experiments_of, settings
 from cophy.dataset import generation
-from cophy.dataset.experiment_dataset import ExperimentDataset
+from cophy.dataset.datamodules import ExperimentDataset
 from cophy.dataset.source import GENERATED
 from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError

@@ -1,30 +1,55 @@
-"""Worker processes that end with what started them."""
+"""Pools of worker processes that end with the process that started them."""
 
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from typing import Any
+
+from cophy.errors import CophyError
 
 
 @contextmanager
-def ending_workers() -> Iterator[None]:
-    """Enter it inside a pool: if the work with the pool fails, its processes end at once. Other children of this one stay."""
-    before = multiprocessing.active_children()
-    try:
-        yield
-    except BaseException:
-        for worker in multiprocessing.active_children():
-            if worker not in before:
-                worker.terminate()
-        raise
+def worker_pool(
+    workers: int, initializer: Callable[..., None] | None = None, *arguments: Any
+) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of spawned processes. If the work with it fails, they end at once; other child processes are left alone.
+
+    Args:
+        workers: Number of processes.
+        initializer: Called with `arguments` in each process.
+
+    Raises:
+        CophyError: A process was killed.
+    """
+    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
+        multiprocessing.set_start_method("spawn", force=True)  # a job of joblib: its "loky" is unknown to its children
+    before, context = multiprocessing.active_children(), multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _start, (initializer, arguments)) as pool:
+        try:
+            yield pool
+        except BaseException as error:
+            for process in multiprocessing.active_children():
+                if process not in before:
+                    process.terminate()
+            if isinstance(error, BrokenProcessPool):
+                raise CophyError(
+                    "a worker process was killed, possibly because the memory or the disk was full; finished files are kept. "
+                    "Run again with fewer workers=; a script of your own must run it under `if __name__ == '__main__':`"
+                ) from error
+            raise
 
 
-def begin_worker() -> None:
-    """In a worker: leave Ctrl-C to the parent, and end with it even when it is killed."""
+def _start(initializer: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+    """Leave Ctrl-C to the parent process, and end with it even if it is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_exit_with_parent, daemon=True).start()
+    if initializer is not None:
+        initializer(*arguments)
 
 
 def _exit_with_parent() -> None:

@@ -8,10 +8,8 @@ import pytest
 
 from cophy.audit.checks import check_states, check_towers, check_twins, slots_in_order
 from cophy.audit.resimulation import _check_share, check_convergence, check_identifiability, check_resimulation
-from cophy.dataset.fields import to_arrays
-from cophy.dataset.replay import do_operation_of, scene_of
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import States
+from cophy.dataset.states import States, do_operation_of, scene_of, to_arrays
 from cophy.scenario import Simulator
 from tests.audit.failing import failing
 from tests.conftest import tiny_spec

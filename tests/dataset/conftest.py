@@ -1,11 +1,28 @@
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.dataset.copies import SPEC
+from cophy.dataset.images import Images
+from tests.conftest import once_per_session
+from tests.dataset.copies import SPEC, images, in_this_process
 
 
 @pytest.fixture(scope="session")
 def finished(tiny_data: Path) -> Path:
-    """The directory of a finished dataset, not to be changed."""
+    """The directory of a finished dataset; tests only read it."""
     return SPEC.directory(tiny_data)
+
+
+@pytest.fixture(scope="session")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Images:
+    """A finished dataset with its images, generated and rendered by worker processes; tests only read it."""
+    directory = once_per_session(tmp_path_factory, "images", lambda path: images(path).ensure(workers=2))
+    return images(directory)
+
+
+@pytest.fixture
+def in_process() -> Iterator[None]:
+    """Generate in the process of the test: to start workers takes seconds."""
+    with in_this_process():
+        yield

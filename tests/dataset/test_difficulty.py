@@ -1,14 +1,13 @@
-"""Difficulty, against cases worked out by hand and against what the generator promises."""
+"""Quantities of stored states, against cases computed by hand and against the search of the generator."""
 
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cophy.dataset.difficulty import difficulty, true_margins, twin_differences
-from cophy.dataset.fields import experiment_fields
-from cophy.dataset.replay import trajectories_of
+from cophy.dataset.difficulty import difficulty, further_than_twin, stands, true_margins, twin_differences
 from cophy.dataset.shards import empty_arrays
+from cophy.dataset.states import experiment_fields, trajectories_of
 from cophy.scenario.physics import trajectory_distance
 from tests.conftest import tiny_spec
 
@@ -95,3 +94,19 @@ def test_generated_towers_stand_where_their_margin_is_positive(tiny: Any) -> Non
     cells = [name.replace("both_fall", "falls") for name in difficulty(arrays, spec)["cell"].tolist()]
     assert cells == ["_".join(pair) for pair in words]
     assert np.abs(margins).min() >= spec.scenario.min_margin - 1e-6
+
+
+def two_twins(moved_m: float) -> dict[str, np.ndarray]:
+    """Return twins with one object, which moves only in the second twin's CD."""
+    states = np.zeros((2, 2, 3, 1, 13))
+    states[1, 1, 1:, 0, 0] = moved_m
+    return {"states": states, "presence": np.ones((2, 2, 1), dtype=bool), "twin": np.array([0, 0])}
+
+
+def test_a_tower_stands_while_no_block_leaves_its_place() -> None:
+    assert stands(two_twins(0.09), fallen_distance=0.1).tolist() == [[True, True], [True, True]]
+    assert stands(two_twins(0.11), fallen_distance=0.1).tolist() == [[True, True], [True, False]]
+
+
+def test_objects_go_further_than_under_the_confounders_of_the_twin() -> None:
+    assert further_than_twin(two_twins(1.0)).tolist() == [[False, False], [False, True]]

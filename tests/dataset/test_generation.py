@@ -1,13 +1,13 @@
-"""Resume, repair, and the same bytes however a dataset is generated."""
+"""Generation: it resumes, repairs, and writes the same bytes however it is run."""
 
 import errno
-import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 import h5py
 import pytest
@@ -16,21 +16,32 @@ from filelock import FileLock
 from cophy.atomic_files import appearing_whole
 from cophy.dataset import generation
 from cophy.dataset.shards import MANIFEST
-from cophy.dataset.spec import FORMAT_VERSION
 from cophy.dataset.states import States
 from cophy.errors import CophyError
+from cophy.workers import worker_pool
+from tests.commands import run, run_apart
 from tests.conftest import ROOT
 from tests.dataset.copies import SPEC, copy, digests, generate
 
+pytestmark = pytest.mark.usefixtures("in_process")
 
-def test_one_and_two_workers_write_the_same_bytes(finished: Path, tmp_path: Path) -> None:
-    assert digests(generate(tmp_path, workers=1)) == digests(finished)
+
+def test_one_process_writes_the_same_bytes_as_two_workers(finished: Path, tmp_path: Path) -> None:
+    assert digests(generate(tmp_path)) == digests(finished)
+
+
+def test_a_worker_writes_the_same_bytes(finished: Path, tmp_path: Path) -> None:
+    directory = copy(finished, tmp_path)
+    (directory / "shard-00001.h5").unlink()
+    with mock.patch.object(generation, "worker_pool", worker_pool):
+        generate(tmp_path)
+    assert digests(directory) == digests(finished)
 
 
 def test_generating_again_changes_nothing(finished: Path, tmp_path: Path) -> None:
     directory = copy(finished, tmp_path)
     before = {path: path.stat().st_mtime_ns for path in directory.iterdir()}
-    generate(tmp_path, workers=2)
+    generate(tmp_path)
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
@@ -50,24 +61,9 @@ def test_a_killed_generation_continues_to_the_same_bytes(finished: Path, tmp_pat
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     assert not (directory / MANIFEST).exists()
-    generate(tmp_path, workers=2)
+    generate(tmp_path)
     assert digests(directory) == digests(finished)
     assert not list(directory.glob("*.tmp"))
-
-
-def test_processes_of_the_caller_outlive_a_failed_generation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
-    own.start()
-    monkeypatch.setattr(generation, "wait", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        generate(tmp_path, workers=1)
-    assert own.is_alive()
-    own.terminate()
-    own.join()
-
-
-def interrupted(*_: object, **__: object) -> None:
-    raise KeyboardInterrupt
 
 
 def test_intact_shards_are_not_replaced_where_they_cannot_be_read(
@@ -82,7 +78,7 @@ def test_intact_shards_are_not_replaced_where_they_cannot_be_read(
     monkeypatch.setattr(h5py, "File", refuse)
     before = {path.name: path.stat().st_mtime_ns for path in directory.glob("shard-*")}
     with pytest.raises(OSError, match="unable to lock"):
-        generate(tmp_path, workers=1)
+        generate(tmp_path)
     assert {path.name: path.stat().st_mtime_ns for path in directory.glob("shard-*")} == before
 
 
@@ -95,11 +91,11 @@ def test_a_dataset_is_generated_on_a_file_system_without_locks(
     monkeypatch.setattr(FileLock, "_acquire", refuse)
     directory = copy(finished, tmp_path)
     (directory / MANIFEST).unlink()
-    generate(tmp_path, workers=1)
+    generate(tmp_path)
     assert digests(directory) == digests(finished)
 
 
-def test_a_truncated_shard_is_named_with_its_remedy_and_made_again(
+def test_a_truncated_shard_is_named_with_its_remedy_and_generated_again(
     finished: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     directory = copy(finished, tmp_path)
@@ -109,44 +105,45 @@ def test_a_truncated_shard_is_named_with_its_remedy_and_made_again(
         CophyError, match=r"shard-00001\.h5 is damaged .* run `python src/generate\.py scenario=collision"
     ):
         States(SPEC, tmp_path).load()
-    generate(tmp_path, workers=1)
+    generate(tmp_path)
     assert "shard-00001.h5 is damaged" in caplog.text
     assert digests(directory) == digests(finished)
 
 
-def test_shards_that_changed_places_are_made_again(finished: Path, tmp_path: Path, caplog) -> None:
-    """Without a manifest nothing else tells: both are whole."""
+def test_shards_that_changed_places_are_generated_again(finished: Path, tmp_path: Path, caplog) -> None:
+    """Both are intact, and there is no manifest."""
     directory = copy(finished, tmp_path)
     (directory / MANIFEST).unlink()
     first, second = (States(SPEC, tmp_path).path(shard) for shard in (0, 1))
     kept = first.rename(first.with_suffix(".kept"))
     second.rename(first)
     kept.rename(second)
-    generate(tmp_path, workers=1)
-    assert f"it is shard {directory.name}/1, expected {directory.name}/0" in caplog.text
+    generate(tmp_path)
+    assert f"its shard is {directory.name}/1, not {directory.name}/0" in caplog.text
     assert digests(directory) == digests(finished)
 
 
-def test_a_full_disk_is_said_in_one_line_and_loses_nothing(
+def test_a_full_disk_is_named_and_loses_nothing(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*args: object) -> None:
-        (directory / "shard-00002.h5.half.tmp").write_bytes(b"half")
+    def full(self: States, path: Path, *_: object) -> None:
+        path.write_bytes(b"half")
         raise OSError(errno.ENOSPC, "No space left on device")
 
     directory = copy(finished, tmp_path)
-    (directory / MANIFEST).unlink()
-    monkeypatch.setattr(States, "write_manifest", full)
-    with pytest.raises(CophyError, match=r"no space left .*2 of 2 shards are done.*same command again"):
-        generate(tmp_path, workers=1)
-    assert not list(directory.glob("*.tmp"))
+    (directory / "shard-00001.h5").unlink()
+    (directory / "shard-00002.h5.half.tmp").write_bytes(b"half")
+    monkeypatch.setattr(States, "write", full)
+    with pytest.raises(OSError, match=r"No space left .*shard-00001\.h5"):
+        generate(tmp_path)
+    assert sorted(path.name for path in directory.glob("*.h5*")) == ["shard-00000.h5"]
 
 
-def test_what_a_part_writes_beside_is_left_to_it(finished: Path, tmp_path: Path) -> None:
+def test_the_temporary_file_of_another_process_is_kept(finished: Path, tmp_path: Path) -> None:
     directory = copy(finished, tmp_path)
     with appearing_whole(directory / "shard-00000.h5") as temporary:
         temporary.write_bytes((directory / "shard-00000.h5").read_bytes())
-        generate(tmp_path, workers=1)
+        generate(tmp_path)
         assert temporary.exists()
     assert digests(directory) == digests(finished)
 
@@ -162,34 +159,53 @@ def test_finished_data_that_cannot_be_written_to_are_only_checked(
     directory = copy(finished, tmp_path)
     monkeypatch.setattr(FileLock, "acquire", refused)
     if whole:
-        generate(tmp_path, workers=1)
-        assert "2 shards, all whole" in caplog.text
+        generate(tmp_path)
+        assert "all 48 experiments in 2 shards" in caplog.text
     else:
         (directory / MANIFEST).unlink()
         with pytest.raises(CophyError, match="cannot be written to"):
-            generate(tmp_path, workers=1)
+            generate(tmp_path)
 
 
-def test_a_pipe_in_the_place_of_a_shard_is_damage(finished: Path, tmp_path: Path) -> None:
+def test_a_pipe_instead_of_a_shard_is_damage(finished: Path, tmp_path: Path) -> None:
     directory = copy(finished, tmp_path)
     path = States(SPEC, tmp_path).path(1)
     path.unlink()
     os.mkfifo(path)
-    with pytest.raises(CophyError, match="it is no plain file"):
+    with pytest.raises(CophyError, match="it is not a regular file"):
         States(SPEC, tmp_path).load()
-    generate(tmp_path, workers=1)
+    generate(tmp_path)
     assert digests(directory) == digests(finished)
 
 
-def test_a_dataset_of_another_format_is_named_with_its_remedy(finished: Path, tmp_path: Path, caplog) -> None:
-    """Beside the one that is wanted; in the log of what makes it, and in the error of what only reads."""
-    old = copy(finished, tmp_path)
-    older = old.with_name(f"{old.name.rsplit('-', 1)[0]}-0badc0de")
-    old.rename(older)
-    text = (older / MANIFEST).read_text()
-    (older / MANIFEST).write_text(text.replace(f'"format": {FORMAT_VERSION}', '"format": 2'))
-    with pytest.raises(CophyError, match=r"not finished.*0badc0de is of format 2.*delete it, or use it with"):
-        States(SPEC, tmp_path).load()
-    generate(tmp_path, workers=2)
-    assert "0badc0de is of format 2" in caplog.text
-    assert (older / MANIFEST).exists()
+def test_parts_have_the_bytes_of_the_whole(finished: Path, tmp_path: Path) -> None:
+    states = States(SPEC, tmp_path)
+    generation.make_part(states, 1, 2, workers=1)
+    assert [path.name for path in states.directory.glob("*.h5")] == ["shard-00001.h5"]
+    assert not states.is_finished()
+    generation.make_part(states, 0, 2, workers=1)
+    assert digests(states.directory) == digests(finished)
+
+
+def test_a_part_repairs_only_its_own_shards(finished: Path, tmp_path: Path) -> None:
+    directory, states = copy(finished, tmp_path), States(SPEC, tmp_path)
+    (directory / MANIFEST).unlink()
+    path = states.path(1)
+    path.write_bytes(path.read_bytes()[:1000])
+    generation.make_part(states, 0, 2, workers=1)
+    assert not states.is_finished()  # the manifest is not written while a shard is damaged
+    generation.make_part(states, 1, 2, workers=1)
+    assert digests(directory) == digests(finished)
+
+
+@pytest.mark.slow
+def test_parallel_jobs_generate_one_dataset(finished: Path, tmp_path: Path) -> None:
+    keys = ("scenario=collision", "size=tiny", "part=0,1", "parts=2", "workers=1", f"data_dir={tmp_path}")
+    printed = run_apart("generate", "-m", *keys, "hydra/launcher=local", "hydra.launcher.n_jobs=2")
+    assert "all 48 experiments in 2 shards" in printed
+    assert digests(SPEC.directory(tmp_path)) == digests(finished)
+
+
+def test_a_part_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    printed = run("generate", "scenario=collision", "size=tiny", "part=2", "parts=2", f"data_dir={tmp_path}", code=1)
+    assert "part=2 must be from 0 to parts - 1 = 1" in printed

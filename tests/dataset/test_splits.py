@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
+import yaml
 
-from cophy.config import settings
-from cophy.dataset.splits import SPLITS, Part, split_of_experiments
+from cophy.config import CONF
+from cophy.dataset.splits import SPLITS, Part, Split, split_of_experiments
 
 
 def test_splits_are_seven_two_one_and_keep_twins_together() -> None:
@@ -43,7 +44,8 @@ def test_every_split_tests_something_at_the_smallest_size(tiny) -> None:
     """So that every table can be tried in seconds."""
     spec, arrays = tiny
     for name in spec.scenario.task.splits:
-        split = settings("train", f"scenario={spec.scenario.name}", f"split={name}").split
+        keys = yaml.safe_load((CONF / "split" / f"{name}.yaml").read_text())
+        split = Split(name, Part(**keys["train"]), Part(**keys["test"]))
         parts = {"train": split.train, "val": split.train, "test": split.test}
         counts = {which: part.select_split(arrays, which).sum() for which, part in parts.items()}
         assert min(counts.values()) > 0, (name, counts)

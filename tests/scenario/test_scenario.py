@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.dataset.fields import to_arrays
-from cophy.dataset.states import States
+from cophy.dataset.states import States, to_arrays
 from cophy.scenario import Scenario, Simulator
 from tests.conftest import SCENARIOS, tiny_spec
 

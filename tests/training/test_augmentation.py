@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from cophy.dataset.datamodules import Share
+from cophy.dataset.datamodules import DeviceShare
 from cophy.dataset.features import confounder_statistics, poses, standardised
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.blocktower import NUM_ROTATIONS
@@ -188,5 +188,6 @@ def test_noise_is_as_large_as_asked_and_d_stays_true() -> None:
     for device in range(2):
         half = take(batch, slice(device, None, 2))
         torch.testing.assert_close(
-            add_position_noise(half, 0.1, (0, 1, 2), Share(2, device)).inputs.observed, seen.inputs.observed[device::2]
+            add_position_noise(half, 0.1, (0, 1, 2), DeviceShare(2, device)).inputs.observed,
+            seen.inputs.observed[device::2],
         )

@@ -13,7 +13,8 @@ from threadpoolctl import threadpool_limits
 
 from cophy.audit.checks import Check, geometry_of
 from cophy.bootstrap import interval
-from cophy.dataset.features import Arrays, further_than_twin, in_place, objects_distance, stands
+from cophy.dataset.difficulty import further_than_twin, in_place, objects_distance, stands
+from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
 
 NUM_FOLDS = 5

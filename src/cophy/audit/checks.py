@@ -11,13 +11,11 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.stats import ks_2samp
 
-from cophy.dataset.difficulty import twin_differences
-from cophy.dataset.features import Arrays, in_place, mean_distance, stands, visible_axis
-from cophy.dataset.fields import CONFOUNDERS_OF_OBJECTS
-from cophy.dataset.replay import do_operation_of, scene_of, trajectories_of
-from cophy.dataset.shards import Sharded
+from cophy.dataset.difficulty import in_place, mean_distance, stands, twin_differences
+from cophy.dataset.shards import Arrays, Sharded
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
+from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, do_operation_of, scene_of, trajectories_of, visible_axis
 from cophy.scenario import Scenario, Shape
 from cophy.scenario.assignment import canonical_problems
 from cophy.scenario.physics import Scene, largest_energy_gain

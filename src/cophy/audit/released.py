@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from cophy.audit.checks import Check, check_confounder_shares, check_distances, check_positions, check_stability
-from cophy.dataset.features import Arrays, stands
-from cophy.dataset.shards import Sharded
+from cophy.dataset.difficulty import stands
+from cophy.dataset.shards import Arrays, Sharded
 from cophy.dataset.splits import SPLITS
 
 CHANGED_M = 1e-4  # ours: float32 at a few metres is exact to 1e-6, and no do-operation is this small

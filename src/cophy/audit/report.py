@@ -24,9 +24,8 @@ from cophy.audit.checks import (
 from cophy.audit.released import audit_released
 from cophy.audit.resimulation import check_convergence, check_identifiability, check_resimulation
 from cophy.dataset import generation
-from cophy.dataset.cards import write_card
 from cophy.dataset.experiment_set import ExperimentSet
-from cophy.dataset.features import Arrays
+from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States
 from cophy.report.figures import BLUE, GREY, RED, draw_stability_distribution
@@ -77,7 +76,7 @@ def report_generated(states: States, directory: Path, *, replayed_pairs: int) ->
     summary = f"all {len(checks)} lines hold"
     if failing:
         summary = f"{len(failing)} of {len(checks)} lines fail: {'; '.join(failing)}"
-    write_card(spec, states.directory, f"{summary} ({replayed_pairs} twin pairs resimulated)")
+    states.write_card(f"{summary} ({replayed_pairs} twin pairs resimulated)")
     return _failing_lines(spec.id, checks)
 
 

@@ -13,10 +13,9 @@ import numpy as np
 from tqdm import tqdm
 
 from cophy.audit.checks import Check, scenes_of, three_sigma
-from cophy.dataset.features import Arrays
-from cophy.dataset.fields import to_arrays
-from cophy.dataset.replay import do_operation_of, scene_of, trajectories_of
+from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.states import do_operation_of, scene_of, to_arrays, trajectories_of
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.physics import Clock, Scene, Trajectory, trajectory_distance
 from cophy.scenario.statics import Combinations

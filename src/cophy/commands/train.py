@@ -226,7 +226,7 @@ def make_datamodule(
 ) -> "CounterfactualDataModule | FrameDataModule":
     """Return the datamodule of a network; nothing is generated or read yet, except the checkpoint of a de-renderer."""
     from cophy.dataset.datamodules import CounterfactualDataModule
-    from cophy.dataset.features import DeclaredInputs
+    from cophy.dataset.features import declared_inputs, not_derendered
     from cophy.dataset.frames import FrameDataModule
     from cophy.models.derenderer import Derenderer
 
@@ -243,17 +243,15 @@ def make_datamodule(
             workers=config.workers,
             seed=config.seed,
         )
-    declared, estimated = DeclaredInputs.of(model), ESTIMATED[config.positions]
+    declared, estimated = declared_inputs(model), ESTIMATED[config.positions]
     learns_confounders = config.training.confounder_weight > 0
     if learns_confounders and "train" in estimated:
         raise CophyError(
             f"positions={config.positions} does not go with training.confounder_weight: true confounders belong to true "
             "objects"
         )
-    if estimated and declared.not_derendered:
-        raise CophyError(
-            f"positions={config.positions} does not go with {declared.not_derendered}: no de-renderer estimates it"
-        )
+    if estimated and (keys := not_derendered(declared)):
+        raise CophyError(f"positions={config.positions} does not go with {keys}: no de-renderer estimates it")
     if estimated and getattr(network, "needs_true_positions", False):
         raise CophyError(f"positions={config.positions}: oracles simulate, from true positions only")
     train_set, test_set = (
@@ -269,7 +267,7 @@ def make_datamodule(
         derenderer=find_derenderer_of(config, run) if estimated else None,
         estimated=estimated,
         declared=declared,
-        needs_confounders=declared.confounders or learns_confounders,
+        needs_confounders="confounders" in declared or learns_confounders,
         num_experiments=config.training.num_experiments,
     )
 

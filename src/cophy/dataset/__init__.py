@@ -9,7 +9,7 @@ from typing import Any
 _MODULES = {
     "CounterfactualDataModule": "datamodules",
     "DatasetSpec": "spec",
-    "ExperimentDataset": "experiment_dataset",
+    "ExperimentDataset": "datamodules",
     "FrameDataModule": "frames",
     "Images": "images",
     "Size": "spec",
@@ -17,17 +17,7 @@ _MODULES = {
     "Split": "splits",
     "States": "states",
 }
-__all__ = [
-    "CounterfactualDataModule",
-    "DatasetSpec",
-    "ExperimentDataset",
-    "FrameDataModule",
-    "Images",
-    "Size",
-    "Source",
-    "Split",
-    "States",
-]
+__all__ = [*_MODULES]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,8 @@
-"""Data module of the predictors. It generates missing data and holds all splits in memory; batches are slices.
+"""Datasets of experiments for PyTorch, and the data module of the predictors.
 
-The order of training batches depends on seed and epoch alone, so that a resumed training sees the same batches as an
-uninterrupted one. A batch is divided among devices: its size is that of a whole optimiser step.
+`CounterfactualDataModule` generates missing data and holds all splits in memory; its batches are slices. The order of training
+batches depends on seed and epoch alone, so a resumed training sees the same batches as an uninterrupted one. A batch is divided
+among devices: its size is that of a whole optimiser step. `ExperimentDataset` is what `cophy.load` returns.
 """
 
 from collections.abc import Sequence
@@ -17,53 +18,48 @@ from torch import Tensor
 from torch.utils.data import BatchSampler, DataLoader, Dataset, DistributedSampler
 
 from cophy.dataset import generation
-from cophy.dataset.estimates import Estimates, Sees
-from cophy.dataset.experiment_set import INPUTS, TEST_INPUTS, ExperimentSet
-from cophy.dataset.features import (
-    Arrays,
-    DeclaredInputs,
-    confounder_features,
-    confounder_statistics,
-    reduce_to_frames,
-    to_batch,
-)
+from cophy.dataset.estimates import DerendererProtocol, Estimates
+from cophy.dataset.experiment_set import INPUTS, TEST_INPUTS, ExperimentSet, FrameSource, Pictures
+from cophy.dataset.features import confounder_features, confounder_statistics, reduce_to_frames, to_batch
+from cophy.dataset.shards import Arrays
 from cophy.dataset.splits import SPLITS, Split
 from cophy.errors import CophyError
+from cophy.scenario import Scenario
 from cophy.types import Batch, take
 
 
-class Share(NamedTuple):
-    """The part of every batch that one device gets: every `devices`-th item, from `rank` on."""
+class DeviceShare(NamedTuple):
+    """The items of every batch that one device gets: every `devices`-th, starting at `rank`."""
 
     devices: int = 1
     rank: int = 0
 
     @classmethod
-    def of(cls, trainer: L.Trainer | None) -> "Share":
-        """That of the device that this process runs on."""
+    def of(cls, trainer: L.Trainer | None) -> "DeviceShare":
+        """Return the share of the device of this process."""
         return cls() if trainer is None else cls(trainer.world_size, trainer.global_rank)
 
 
-ALONE = Share()
+ONE_DEVICE = DeviceShare()
 
 
 class EpochBatches(BatchSampler):
-    """Batches in an order of their own in every epoch, which Lightning counts."""
+    """Batches in a different order in every epoch; Lightning sets the epoch."""
 
     def set_epoch(self, epoch: int) -> None:
-        """Call before an epoch."""
+        """Set the epoch, before its first batch."""
         assert isinstance(self.sampler, DistributedSampler)
         self.sampler.set_epoch(epoch)
 
 
-def shuffled(dataset: Dataset, batch_size: int, *, seed: int, share: Share) -> EpochBatches:
-    """Each item once an epoch; where devices share a run, a few twice, so that all get as many.
+def shuffled(dataset: Dataset, batch_size: int, *, seed: int, share: DeviceShare) -> EpochBatches:
+    """Return batches with each item once per epoch; with several devices a few items twice, so that all get equally many.
 
     Args:
         dataset: Dataset of the items.
         batch_size: Items in a batch of all devices together.
-        seed: The order follows from it and the epoch. PyTorch adds the two, so that seed 1 begins with the order that seed 0
-            has in its second epoch; their weights begin differently.
+        seed: The order depends on it and the epoch. PyTorch adds the two, so seed 1 starts with the order that seed 0 has in
+            its second epoch; but their initial weights differ.
         share: Share of this device.
     """
     if batch_size % share.devices:
@@ -76,12 +72,12 @@ def shuffled(dataset: Dataset, batch_size: int, *, seed: int, share: Share) -> E
     return EpochBatches(order, batch_size // share.devices, drop_last=False)
 
 
-def in_order(groups: np.ndarray, batch_size: int, share: Share) -> list[list[int]]:
-    """This device's share of all items, none twice: whole groups that follow each other, in as many batches on each device.
+def in_order(groups: np.ndarray, batch_size: int, share: DeviceShare) -> list[list[int]]:
+    """Return this device's batches of all items, none twice: whole groups in order, equally many batches on each device.
 
     Args:
-        groups: (item,) equal for items that stay in one batch, such as twins; these follow each other.
-        batch_size: About as many items are in a batch.
+        groups: (item,) equal for consecutive items that stay in one batch, such as twins.
+        batch_size: Approximate number of items in a batch.
         share: Share of this device.
 
     Raises:
@@ -95,11 +91,11 @@ def in_order(groups: np.ndarray, batch_size: int, share: Share) -> list[list[int
     most = max(sum(map(len, each)) for each in shares)
     num_batches = min(-(-most // batch_size), *map(len, shares))
     batches = np.array_split(np.arange(len(shares[share.rank])), num_batches)
-    return [[int(item) for group in batch for item in shares[share.rank][group]] for batch in batches]
+    return [np.concatenate([shares[share.rank][group] for group in batch]).tolist() for batch in batches]
 
 
 class CounterfactualDataset(Dataset[Batch]):
-    """An index is a list of experiments, an item their `Batch`: sliced at once, no worker processes are worth their cost."""
+    """Experiments in memory. An index is a list of experiments and an item their `Batch`: slices need no worker processes."""
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
@@ -110,35 +106,23 @@ class CounterfactualDataset(Dataset[Batch]):
     def __getitem__(self, indices: list[int]) -> Batch:
         return take(self.batch, indices)
 
-    def shuffled(self, batch_size: int, *, seed: int = 0, share: Share = ALONE) -> DataLoader[Batch]:
-        """Batches to train on.
+    def shuffled(self, batch_size: int, *, seed: int = 0, share: DeviceShare = ONE_DEVICE) -> DataLoader[Batch]:
+        """Return batches for training, see `shuffled`."""
+        return DataLoader(self, sampler=shuffled(self, batch_size, seed=seed, share=share), batch_size=None)
 
-        Args:
-            batch_size: Experiments in a batch of all devices together.
-            seed: Seed of the training.
-            share: Share of this device.
-        """
-        batches = shuffled(self, batch_size, seed=seed, share=share)
-        return DataLoader(self, sampler=batches, batch_size=None)
-
-    def in_order(self, batch_size: int, *, share: Share = ALONE) -> DataLoader[Batch]:
-        """Every experiment once; twins, which follow each other, stay in one batch.
-
-        Args:
-            batch_size: About as many experiments are in a batch.
-            share: Share of this device.
-        """
+    def in_order(self, batch_size: int, *, share: DeviceShare = ONE_DEVICE) -> DataLoader[Batch]:
+        """Return all experiments in order, twins in one batch, see `in_order`."""
         batches = in_order(self.batch.targets.pair.numpy(), batch_size, share)
         return DataLoader(self, sampler=batches, batch_size=None)
 
 
 class CounterfactualDataModule(L.LightningDataModule):
-    """Trains and validates on one part of the data, tests on another or the same (conf/split).
+    """Experiments to train, validate and test on (conf/split).
 
     Attributes:
-        train, val, test: The three splits, once `setup` was called.
-        test_experiments: (experiment,) the index of each test experiment in its dataset.
-        knows_confounders: Whether the data tell all true confounders.
+        train, val, test: The three splits, after `setup`.
+        test_experiments: (experiment,) index of each test experiment in its dataset.
+        knows_confounders: Whether the data contain all true confounders.
     """
 
     def __init__(
@@ -150,26 +134,26 @@ class CounterfactualDataModule(L.LightningDataModule):
         batch_size: int,
         workers: int,
         seed: int = 0,
-        derenderer: Sees | None = None,
+        derenderer: DerendererProtocol | None = None,
         estimated: Sequence[str] = (),
-        declared: DeclaredInputs | None = None,
+        declared: Sequence[str] = (),
         needs_confounders: bool = False,
         num_experiments: int | None = None,
     ) -> None:
-        """Note what is wanted; nothing is read yet.
+        """Store the arguments; nothing is read yet.
 
         Args:
             split: Which experiments are trained on, and which are tested on.
-            train_set: The experiments of which some are trained and validated on.
-            test_set: The experiments of which some are tested on; may be the same.
+            train_set: Experiments that include those to train and validate on.
+            test_set: Experiments that include those to test on; may be the same.
             batch_size: Experiments in a batch, of all devices together.
-            workers: Processes that make missing data.
-            seed: Seed of the training: the order of the training experiments follows from it and the epoch.
-            derenderer: Whose estimates of AB and C are seen instead of true positions, or None.
-            estimated: Names of the splits of which only the estimates are seen.
-            declared: Which optional inputs the model is given; None for none of them.
-            needs_confounders: Whether the run needs data that tell them, as input or to learn from.
-            num_experiments: So many training experiments are used, the first ones; None for all.
+            workers: Processes that generate missing data.
+            seed: Seed of the training: the order of the training experiments depends on it and the epoch.
+            derenderer: Provides estimates of AB and C for the splits in `estimated`, instead of true positions.
+            estimated: Names of the splits with estimates.
+            declared: Optional inputs of the model, see `declared_inputs`.
+            needs_confounders: Whether the run needs the true confounders, as input or to learn from.
+            num_experiments: Number of training experiments, the first ones; None for all.
         """
         super().__init__()
         split.check_scenario(train_set.spec.scenario)
@@ -177,20 +161,20 @@ class CounterfactualDataModule(L.LightningDataModule):
         self.train_set, self.test_set = train_set, test_set
         self.batch_size, self.workers, self.seed = batch_size, workers, seed
         self.derenderer, self.estimated = derenderer, estimated
-        self.declared, self.needs_confounders = declared or DeclaredInputs(), needs_confounders
+        self.declared, self.needs_confounders = declared, needs_confounders
         self.num_experiments = num_experiments
 
     @property
     def dataset_ids(self) -> list[str]:
-        """Datasets this split reads: the training one first, then the test one if it is another."""
+        """Ids of the datasets: the training one first, then the test one if it differs."""
         return list(dict.fromkeys([self.train_set.id, self.test_set.id]))
 
     @property
     def trained_on(self) -> list[Any]:
-        """All that the training batches are a function of, as plain values."""
-        seen = self.derenderer.name if self.derenderer and "train" in self.estimated else None
+        """Everything that the training batches depend on, as plain values."""
+        derenderer = self.derenderer.name if self.derenderer and "train" in self.estimated else None
         task = {key: value for key, value in asdict(self.scenario.task).items() if key != "splits"}  # names, no data
-        return [self.train_set.id, asdict(self.split.train), task, seen]
+        return [self.train_set.id, asdict(self.split.train), task, derenderer]
 
     def training_checksums(self) -> dict[str, Any]:
         """Return the checksums of the shards that training reads."""
@@ -203,75 +187,64 @@ class CounterfactualDataModule(L.LightningDataModule):
         return truth.initial[truth.presence].mean(dim=0)
 
     def prepare_data(self) -> None:
-        """Generate what is missing, or index what was released."""
+        """Generate missing data, or index released data."""
         for experiments in (self.train_set, self.test_set):
             generation.ensure(experiments, workers=self.workers)
             if estimates := self._estimates(experiments):
                 estimates.ensure(workers=self.workers)
 
     def setup(self, stage: str | None = None) -> None:
-        """Load all splits; confounders are standardised over the training one."""
+        """Load all splits; confounders are standardised over the training split."""
         if hasattr(self, "train"):
             return
         stored = {experiments.id: self._load(experiments) for experiments in (self.train_set, self.test_set)}
-        arrays = {split: self._select(stored, split) for split in SPLITS}
+        rows = {split: self._rows(stored, split) for split in SPLITS}
+        arrays = {split: {n: a[rows[split]] for n, a in stored[self._set_of(split).id].items()} for split in SPLITS}
         features = {split: confounder_features(arrays[split]) for split in SPLITS}
         self.knows_confounders = not any(values.isnan().any() for values in features.values())
         if self.needs_confounders and not self.knows_confounders:
             raise CophyError(
-                f"{self.train_set.directory} does not tell all true confounders, which this run needs: use other data"
+                f"{self.train_set.directory} does not contain all true confounders, which this run needs: use other data"
             )
         statistics = confounder_statistics(features["train"], torch.from_numpy(arrays["train"]["presence"][:, 0]))
+        to_split = partial(to_batch, scenario=self.scenario, declared=self.declared, statistics=statistics)
         self.train, self.val, self.test = (
-            CounterfactualDataset(
-                to_batch(
-                    arrays[split],
-                    self.scenario,
-                    self.declared,
-                    statistics=statistics,
-                    estimated=split in self.estimated,
-                )
-            )
-            for split in SPLITS
+            CounterfactualDataset(to_split(arrays[split], estimated=split in self.estimated)) for split in SPLITS
         )
-        self.test_experiments = np.flatnonzero(self.split.test.select_split(stored[self.test_set.id], "test"))
+        self.test_experiments = rows["test"]
 
     def train_dataloader(self) -> DataLoader[Batch]:
-        return self.train.shuffled(self.batch_size, seed=self.seed, share=Share.of(self.trainer))
+        return self.train.shuffled(self.batch_size, seed=self.seed, share=DeviceShare.of(self.trainer))
 
     def val_dataloader(self) -> DataLoader[Batch]:
-        return self.val.in_order(self.batch_size, share=Share.of(self.trainer))
+        return self.val.in_order(self.batch_size, share=DeviceShare.of(self.trainer))
 
     def test_dataloader(self) -> DataLoader[Batch]:
-        return self.test.in_order(self.batch_size, share=Share.of(self.trainer))
+        return self.test.in_order(self.batch_size, share=DeviceShare.of(self.trainer))
 
-    def _select(self, arrays: dict[str, Arrays], split: str) -> Arrays:
-        """Return the arrays of the experiments of a split."""
+    def _rows(self, stored: dict[str, Arrays], split: str) -> np.ndarray:
+        """Return the indices of a split's experiments in their dataset."""
         experiments, part = self._set_of(split), self.split.test if split == "test" else self.split.train
-        stored = arrays[experiments.id]
-        rows = part.select_split(stored, split)
-        if not rows.any():
+        rows = np.flatnonzero(part.select_split(stored[experiments.id], split))
+        if not len(rows):
             raise CophyError(
                 f"split={self.split.name} leaves no {split} experiments of {experiments.id}: {experiments.remedy}"
             )
-        indices = np.flatnonzero(rows)
-        if split == "train" and self.num_experiments is not None:
-            if self.num_experiments > len(indices):
-                raise CophyError(
-                    f"training.num_experiments={self.num_experiments}: there are {len(indices)} to train on"
-                )
-            indices = indices[: self.num_experiments]
-        return {name: array[indices] for name, array in stored.items()}
+        if split != "train" or self.num_experiments is None:
+            return rows
+        if self.num_experiments > len(rows):
+            raise CophyError(f"training.num_experiments={self.num_experiments}: there are {len(rows)} to train on")
+        return rows[: self.num_experiments]
 
     def _set_of(self, split: str) -> ExperimentSet:
         return self.test_set if split == "test" else self.train_set
 
     def _estimates(self, experiments: ExperimentSet) -> Estimates | None:
-        """Those of a dataset, if one of the splits that are read from it is seen through them."""
-        seen = {split for split in self.estimated if self._set_of(split).id == experiments.id}
-        if self.derenderer is None or not seen:
+        """Return the estimates of a dataset, if a split of it needs them."""
+        splits = {split for split in self.estimated if self._set_of(split).id == experiments.id}
+        if self.derenderer is None or not splits:
             return None
-        return Estimates(experiments, self.derenderer, TEST_INPUTS if seen == {"test"} else INPUTS)
+        return Estimates(experiments, self.derenderer, TEST_INPUTS if splits == {"test"} else INPUTS)
 
     def _load(self, experiments: ExperimentSet) -> Arrays:
         arrays = experiments.load(partial(reduce_to_frames, scenario=self.scenario))
@@ -282,4 +255,69 @@ class CounterfactualDataModule(L.LightningDataModule):
             missing = (~arrays["clip"].all(axis=1)).sum()
             raise CophyError(f"{missing} experiments of {experiments.id} have no RGB clips to estimate positions from")
         rows = arrays.get("experiment", slice(None))
-        return arrays | {name: array[rows] for name, array in estimates.or_more().load().items()}
+        return arrays | {name: array[rows] for name, array in estimates.best_available().load().items()}
+
+
+class ExperimentDataset(Dataset[dict[str, Tensor]]):
+    """Experiments of one split: states and confounders in memory, images read on access.
+
+    An item maps the names of the fields (docs/data/index.md) to the arrays of one experiment. If an array has two sequences, 0 is
+    the observed AB and 1 the counterfactual CD. Images: rgb (2, T, R, R, 3) uint8; depth (2, T, R, R) int32, mm;
+    segmentation (2, T, R, R) uint8. Items of one dataset have equal shapes, so a DataLoader batches them.
+
+    Attributes:
+        scenario: Names of slots, do-operations and cells, the clock, the camera.
+        rows: Indices of the experiments in the set.
+    """
+
+    def __init__(
+        self,
+        experiments: ExperimentSet,
+        *,
+        split: str | None,
+        frames: FrameSource | None = None,
+        modalities: Sequence[str] = (),
+    ) -> None:
+        """Load the states.
+
+        Args:
+            experiments: A finished set.
+            split: train, val or test; None for all.
+            frames: Images of the set.
+            modalities: Which images are read.
+
+        Raises:
+            CophyError: The set is damaged.
+        """
+        arrays = experiments.load()
+        numbers = range(len(SPLITS)) if split is None else [SPLITS.index(split)]
+        self.rows = np.flatnonzero(np.isin(arrays["split"], numbers))
+        self.scenario: Scenario = experiments.spec.scenario
+        self.arrays = {name: array[self.rows] for name, array in arrays.items()}
+        self._title = experiments.title
+        self._frames, self._modalities = frames, tuple(modalities)
+        self._places = {name: arrays[name] for name in ("experiment", "clip") if name in arrays}
+        self._read_images: Pictures | None = None  # with open files, so every process has its own
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, item: int) -> dict[str, Tensor]:
+        arrays = {name: array[item] for name, array in self.arrays.items()}
+        if self._frames is not None:
+            if self._read_images is None:
+                self._read_images = self._frames.pictures(self._places, self._modalities)
+            arrays |= self._read_images(int(self.rows[item]))
+        return {name: _to_tensor(np.asarray(array)) for name, array in arrays.items()}
+
+    def __repr__(self) -> str:
+        shapes = ", ".join(f"{name} {array.shape[1:]}" for name, array in self.arrays.items())
+        return ", ".join([f"{len(self)} experiments of {self._title}: {shapes}", *self._modalities])
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_read_images": None}
+
+
+def _to_tensor(array: np.ndarray) -> Tensor:
+    is_depth = array.dtype == np.uint16  # torch has hardly any operations for this type
+    return torch.from_numpy(array.astype(np.int32 if is_depth else array.dtype))

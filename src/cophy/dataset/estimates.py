@@ -1,23 +1,19 @@
-"""What a de-renderer sees in the frames of a dataset, in shards beside the states that the pictures show."""
+"""Estimates of a de-renderer for the images of a dataset, in shards next to the states."""
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
-import h5py
 import numpy as np
 
 from cophy.dataset import generation
-from cophy.dataset.experiment_set import ALL, ExperimentSet, NeededFrames
-from cophy.dataset.shards import Field, Fields, ShardSet, attribute, creating, reading
+from cophy.dataset.experiment_set import ALL_FRAMES, ExperimentSet, NeededFrames
+from cophy.dataset.shards import Field, Fields, ShardSet, creating
 from cophy.scenario.rendering import RenderSettings
 
-PICTURES = "images_sha256"  # attribute of a file: of the pictures that were seen
 
-
-class Sees(Protocol):
-    """A trained de-renderer. name: of its checkpoint, by content. source: where that lies. render: the pictures it knows."""
+class DerendererProtocol(Protocol):
+    """A trained de-renderer. name: hash of its checkpoint. source: the checkpoint. render: how its images are rendered."""
 
     name: str
     source: Path
@@ -29,44 +25,46 @@ class Sees(Protocol):
 
 
 class Estimates(ShardSet):
-    """Estimates of frames of AB (sequence 0) and CD (1).
+    """Estimates for frames of AB (sequence 0) and CD (1).
 
     position: (experiment, 2, T, slot, 3) float32, metres. presence_logit: (experiment, 2, T, slot) float32. Both are zero
-    where there are no pictures.
+    for frames without an image.
     """
 
-    def __init__(self, states: ExperimentSet, derenderer: Sees, needed: NeededFrames = ALL) -> None:
+    def __init__(
+        self, states: ExperimentSet, derenderer: DerendererProtocol, needed: NeededFrames = ALL_FRAMES
+    ) -> None:
         self.states, self.derenderer = states, derenderer
         self.frames = states.frames(derenderer.render, needed)
         self.needed = self.frames.needed
-        of_some = "" if self.needed == ALL else f"-{self.needed.name}"
+        suffix = "" if self.needed == ALL_FRAMES else f"-{self.needed.name}"
         super().__init__(
             states.spec,
-            states.directory / f"derendered-{derenderer.name}{of_some}",
+            states.directory / f"derendered-{derenderer.name}{suffix}",
             title=f"de-rendered {states.title}",
-            command=f"{states.command_for('derender')} derenderer={derenderer.source}{self.needed.drawn_by[1]}",
+            command=f"{states.command_for('derender')} derenderer={derenderer.source} {self.needed.keys}".rstrip(),
         )
 
-    def or_more(self) -> "Estimates":
-        """The set that estimates are read from: itself, or where it is not there, a finished one of more frames."""
-        sets = [Estimates(self.states, self.derenderer, needed) for needed in (self.needed, *self.needed.wider)]
-        return next((found for found in sets if found.is_finished()), self)
+    def best_available(self) -> "Estimates":
+        """Return this set if it is finished, otherwise a finished superset, otherwise this set."""
+        sets = [Estimates(self.states, self.derenderer, needed) for needed in (self.needed, *self.needed.supersets)]
+        return next((estimates for estimates in sets if estimates.is_finished()), self)
 
     def ensure(self, *, workers: int) -> None:
-        """Make what is missing; pictures are needed only while the estimates are not finished."""
+        """Generate what is missing; images are needed only while the estimates are not finished."""
         generation.ensure(self.states, workers=workers)
-        if not self.or_more().is_finished():
+        if not self.best_available().is_finished():
             self.frames.ensure(workers=workers)
             generation.make(self, workers=workers)
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
-        """Look at the frames of a shard."""
+        """De-render the frames of a shard."""
         done = 0
         with creating(path, self.fields(shard), self.attributes(shard)) as stored:
             for row, sequence, times, rgb in self.frames.sequences(shard):
-                position, presence_logit = self.derenderer(rgb)
-                stored["position"][row, sequence, times] = position
-                stored["presence_logit"][row, sequence, times] = presence_logit
+                stored["position"][row, sequence, times], stored["presence_logit"][row, sequence, times] = (
+                    self.derenderer(rgb)
+                )
                 advance(row - done)
                 done = row
         advance(len(self.spec.experiments_of_shard(shard)) - done)
@@ -78,20 +76,13 @@ class Estimates(ShardSet):
         return {"position": Field((*frames, 3), "<f4"), "presence_logit": Field(frames, "<f4")}
 
     def sources(self, shard: int) -> dict[str, str]:
-        """States and pictures; these may be deleted once they were seen."""
-        sources = {"states_sha256": self.states.checksum(shard)}
-        if pictures := self.frames.checksums():
-            sources[PICTURES] = pictures[self.path(shard).name]
-        return sources
-
-    def opened(self, path: Path, shard: int) -> AbstractContextManager[dict[str, h5py.Dataset]]:
-        sources = self.sources(shard)
-        if attribute(path, PICTURES) is None:  # a set with more pictures was seen
-            sources.pop(PICTURES, None)
-        return reading(path, self.fields(shard), sources)
+        """States and images. These may have been deleted since, or belong to a superset: then only the states count."""
+        images = self.frames.checksums() or {}
+        digests = {"states_sha256": self.states.checksum(shard), "images_sha256": images.get(self.path(shard).name)}
+        return {name: digest for name, digest in digests.items() if digest is not None}
 
     def description(self) -> dict[str, Any]:
-        """Which checkpoint saw which pictures."""
+        """Return which checkpoint was applied to which images."""
         return {
             "dataset": self.states.directory.name,
             "images": self.frames.name,

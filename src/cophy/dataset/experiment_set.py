@@ -1,102 +1,85 @@
-"""Experiments and their pictures, whoever made them: what callers may ask of generated and of released data alike.
-
-Which frames of a dataset are drawn: all of them, or only those that somebody looks at.
+"""What generated and released experiments have in common: an interface to them (`ExperimentSet`) and to their images
+(`FrameSource`), and the choice of the frames that are rendered (`NeededFrames`).
 """
 
 import hashlib
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from cophy.dataset.shards import Sharded, ShardSet
+from cophy.dataset.shards import Arrays, Sharded, ShardSet
 from cophy.dataset.splits import SPLITS
 from cophy.scenario.rendering import RenderSettings
-
-EVERYTHING = "all"
 
 
 @dataclass(frozen=True)
 class NeededFrames:
-    """A choice of frames that is the same for every experiment of a split.
+    """A choice of frames: the same for every experiment of some splits, or single ones.
 
     Attributes:
-        name: In `frames=`, and in names of directories.
-        splits: Whose experiments are looked at.
-        whole_cd: Whether all of CD is; else only its first frame, C. Of AB every frame is.
-        wider: Choices that have all of these frames and more, narrow ones first.
+        name: Value of `frames=`, and part of the names of directories.
+        splits: Splits whose experiments need frames: all of AB, and C.
+        whole_cd: Whether all of CD is needed.
+        single: Experiment, sequence and time of single frames, which are needed instead.
+        supersets: Choices that include all of these frames, the smallest first.
+        script: The script that renders them.
+        keys: Its keys that request them.
     """
 
     name: str
     splits: tuple[str, ...] = SPLITS
     whole_cd: bool = False
-    wider: tuple["NeededFrames", ...] = ()
+    single: tuple[tuple[int, int, int], ...] | None = None
+    supersets: tuple["NeededFrames", ...] = ()
+    script: str = "generate"
+    keys: str = ""
 
-    @property
-    def drawn_by(self) -> tuple[str, str]:
-        """The script that draws them, and the keys that ask it for them."""
-        return "generate", "" if self.name == EVERYTHING else f" frames={self.name}"
-
-    def of(self, split: np.ndarray, first: int, num_frames: int) -> np.ndarray:
-        """(experiment, 2, T) bool: which frames of AB (0) and of CD (1) are needed.
+    def mask(self, split: np.ndarray, first: int, num_frames: int) -> np.ndarray:
+        """Return which frames of AB (0) and of CD (1) are needed, (experiment, 2, T) bool.
 
         Args:
-            split: (experiment,) of some experiments that follow each other, as the states have it.
+            split: (experiment,) splits of consecutive experiments, as the states store them.
             first: Index of the first of them in the dataset.
             num_frames: T.
         """
         needed = np.zeros((len(split), 2, num_frames), dtype=bool)
-        looked_at = np.isin(split, [SPLITS.index(name) for name in self.splits])
-        needed[looked_at, 0] = True
-        needed[looked_at, 1, : None if self.whole_cd else 1] = True
+        if self.single is not None:
+            frames = np.array(self.single, dtype=np.int64).reshape(-1, 3)
+            frames = frames[(frames[:, 0] >= first) & (frames[:, 0] < first + len(split))]
+            needed[frames[:, 0] - first, frames[:, 1], frames[:, 2]] = True
+            return needed
+        rows = np.isin(split, [SPLITS.index(name) for name in self.splits])
+        needed[rows, 0] = True
+        needed[rows, 1, : None if self.whole_cd else 1] = True
         return needed
 
 
-ALL = NeededFrames(EVERYTHING, whole_cd=True)
-INPUTS = NeededFrames("inputs", wider=(ALL,))  # what models see: AB and C
-TEST_INPUTS = NeededFrames("test_inputs", splits=("test",), wider=(INPUTS, ALL))
-FRAMES: Mapping[str, NeededFrames] = {choice.name: choice for choice in (ALL, INPUTS, TEST_INPUTS)}
+ALL_FRAMES = NeededFrames("all", whole_cd=True)
+INPUTS = NeededFrames("inputs", supersets=(ALL_FRAMES,), keys="frames=inputs")  # what models see: AB and C
+TEST_INPUTS = NeededFrames("test_inputs", splits=("test",), supersets=(INPUTS, ALL_FRAMES), keys="frames=test_inputs")
+FRAMES = {choice.name: choice for choice in (ALL_FRAMES, INPUTS, TEST_INPUTS)}
 
 
-@dataclass(frozen=True)
-class ChosenFrames(NeededFrames):
-    """Single frames, as a de-renderer is trained on.
+def single_frames(frames: np.ndarray, keys: str) -> NeededFrames:
+    """Return the choice of the frames that a de-renderer is trained on.
 
-    Attributes:
-        frames: Experiment, sequence and time of each.
-        keys: Command-line keys of the training that reads them.
+    Args:
+        frames: (frame, 3) experiment, sequence and time; order and repetitions do not matter.
+        keys: Command-line keys of the training.
     """
-
-    frames: tuple[tuple[int, int, int], ...] = ()
-    keys: str = ""
-
-    @classmethod
-    def to_train(cls, frames: np.ndarray, keys: str) -> "ChosenFrames":
-        """From an array (frame, 3); its order does not matter, nor does it if one is named twice."""
-        chosen = np.unique(frames, axis=0).astype("<i8")
-        name = f"chosen-{hashlib.sha256(chosen.tobytes()).hexdigest()[:6]}"
-        return cls(name, wider=(ALL,), frames=tuple(map(tuple, chosen.tolist())), keys=keys)
-
-    @property
-    def drawn_by(self) -> tuple[str, str]:
-        """The training."""
-        return "train", f" {self.keys}"
-
-    def of(self, split: np.ndarray, first: int, num_frames: int) -> np.ndarray:
-        """(experiment, 2, T) bool, as of every choice."""
-        needed = np.zeros((len(split), 2, num_frames), dtype=bool)
-        chosen = np.array(self.frames, dtype=np.int64).reshape(-1, 3)
-        here = chosen[(chosen[:, 0] >= first) & (chosen[:, 0] < first + len(split))]
-        needed[here[:, 0] - first, here[:, 1], here[:, 2]] = True
-        return needed
+    frames = np.unique(frames, axis=0).astype("<i8")
+    name = f"chosen-{hashlib.sha256(frames.tobytes()).hexdigest()[:6]}"
+    single = tuple(map(tuple, frames.tolist()))
+    return NeededFrames(name, single=single, supersets=(ALL_FRAMES,), script="train", keys=keys)
 
 
 Clip = tuple[int, int, np.ndarray, np.ndarray]  # experiment of a shard, sequence, times (N,), RGB (N, R, R, 3) uint8
 Reader = Callable[[int, int, int], np.ndarray]  # row of the arrays, sequence, time -> RGB (R, R, 3) uint8
-Pictures = Callable[[int], dict[str, np.ndarray]]  # row of the arrays -> both sequences, by modality
+Pictures = Callable[[int], Arrays]  # row of the arrays -> both sequences, by modality
 
 
 class ExperimentSet(ShardSet):
@@ -107,37 +90,37 @@ class ExperimentSet(ShardSet):
 
     def __init__(self, spec: Sharded, directory: Path, *, title: str, script: str, keys: str) -> None:
         self._keys = keys
-        super().__init__(spec, directory, title=title, command=f"python src/{script}.py {keys}")
+        super().__init__(spec, directory, title=title, command=self.command_for(script))
 
     @property
     @abstractmethod
     def id(self) -> str:
-        """Name of the data: other experiments, or other splits of them, have another one."""
+        """Name of the data; other experiments, or other splits of them, have another name."""
 
     @property
     @abstractmethod
     def remedy(self) -> str:
-        """What a person does who finds too few experiments in it."""
+        """What the user can do if it contains too few experiments."""
 
     @abstractmethod
-    def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> "FrameSource":
-        """Pictures of the experiments; released ones are as they are, whatever `render` says.
+    def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> "FrameSource":
+        """Return the images of the experiments.
 
         Args:
-            render: How they are drawn.
-            needed: Which of them anybody looks at.
+            render: How they are rendered; it has no effect on released images.
+            needed: Which frames are rendered.
         """
 
     @abstractmethod
     def unseen_by(
         self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
     ) -> bool:
-        """Whether a training left the test experiments of this set out.
+        """Return whether no test experiment of this set was used in a training.
 
         Args:
-            num_experiments: of the size that was trained at, by scenario and number of objects.
-            data_seed: of the datasets that were trained on.
-            trained_on: their ids.
+            num_experiments: Experiments per scenario and number of objects, of the size of the training.
+            data_seed: Seed of the datasets of the training.
+            trained_on: Ids of these datasets.
         """
 
     def command_for(self, script: str) -> str:
@@ -146,16 +129,16 @@ class ExperimentSet(ShardSet):
 
 
 class FrameSource(Protocol):
-    """RGB of frames of AB (sequence 0) and CD (1) of a set of experiments: of those that are needed."""
+    """RGB images of AB (sequence 0) and CD (1) of a set of experiments."""
 
     @property
     def states(self) -> ExperimentSet:
-        """The experiments that the frames show."""
+        """The experiments that the images show."""
         ...
 
     @property
     def name(self) -> str:
-        """What the frames are a function of, besides the experiments."""
+        """Name of how they are rendered."""
         ...
 
     @property
@@ -164,25 +147,25 @@ class FrameSource(Protocol):
         ...
 
     def ensure(self, *, workers: int) -> None:
-        """Make what is missing, of the experiments too."""
+        """Generate what is missing, including the experiments."""
         ...
 
     def checksums(self) -> dict[str, str] | None:
-        """SHA-256 per shard of the pictures, or None where they lie in no shards, or do so no more."""
+        """Return the SHA-256 per shard of the images, or None if there are no shards (any more)."""
         ...
 
     def sequences(self, shard: int) -> Iterator[Clip]:
-        """The needed frames of a shard's experiments, in their order; a sequence without any is left out."""
+        """Yield the needed frames of each sequence of a shard; sequences without any are omitted."""
         ...
 
-    def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
-        """Reads frames of the experiments of these arrays; for one process alone."""
+    def reader(self, arrays: Arrays) -> Reader:
+        """Return a function that reads a frame of the experiments in `arrays`, for use in one process."""
         ...
 
-    def pictures(self, arrays: dict[str, np.ndarray], modalities: Sequence[str]) -> Pictures:
-        """Reads both sequences of an experiment of these arrays, (2, T, R, R, ...) each; for one process alone.
+    def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> Pictures:
+        """Return a function that reads both sequences of an experiment in `arrays`, (2, T, R, R, ...) each, in one process.
 
         Raises:
-            CophyError: there are no pictures of one of the modalities.
+            CophyError: There are no images of one of the modalities.
         """
         ...

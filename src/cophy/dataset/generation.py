@@ -1,4 +1,4 @@
-"""Make a set of shards with worker processes: resumable, and the same bytes however it is run."""
+"""Generate sets of shards with worker processes: resumable, and with the same bytes however it is run."""
 
 import errno
 import logging
@@ -6,87 +6,82 @@ import multiprocessing
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import contextmanager
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock
 from tqdm import tqdm
 
-from cophy.atomic_files import appearing_whole, check_space, without_leftovers
+from cophy.atomic_files import appearing_whole, without_leftovers
 from cophy.dataset.shards import MANIFEST, DamagedShardError, ShardSet
 from cophy.errors import CophyError
-from cophy.workers import begin_worker, ending_workers
+from cophy.workers import worker_pool
 
-PATIENCE_S = 30  # until it is said that there is no first experiment yet
+PATIENCE_S = 30  # until a warning that there is no first experiment yet
 log = logging.getLogger(__name__)
-GUARD = "`if __name__ == '__main__':`"
-_done: "Synchronized[int]"  # experiments generated so far, shared by the workers of one run
+_done: "Synchronized[int]"  # experiments completed so far, shared by the workers of one run
 
 
 def ensure(shards: ShardSet, *, workers: int) -> None:
-    """Make what is not finished yet."""
+    """Generate a set that is not finished."""
     if not shards.is_finished():
         make(shards, workers=workers)
 
 
 def make(shards: ShardSet, *, workers: int) -> None:
-    """Make what is missing or damaged; several processes may ask for it at once, one works."""
+    """Generate missing and damaged shards; if several processes call this at once, one of them works."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker imports the script that started it
-        raise CophyError(f"put what your script runs under {GUARD}, generation starts processes")
-    with _explain_full_disk(shards), _locked(shards.directory) as writable, without_leftovers(shards.directory):
-        missing = _missing(shards, range(shards.spec.num_shards))
-        if not (writable or shards.is_finished()) or (missing and not writable):
+        raise CophyError("generation starts processes: run it under `if __name__ == '__main__':` in your script")
+    every = range(shards.spec.num_shards)
+    with _locked(shards.directory) as writable, without_leftovers(shards.directory):
+        if writable:
+            _complete(shards, every, workers)
+        elif not shards.is_finished() or _missing(shards, every):
             raise CophyError(
-                f"{shards.directory} is not whole and cannot be written to: make it writable, or move with data_dir="
+                f"{shards.directory} is incomplete and cannot be written to: make it writable, or move with data_dir="
             )
-        if missing:
-            for remark in shards.remarks():
-                log.warning(remark)
-            _make(missing, shards, workers)
-        if missing or not (shards.directory / MANIFEST).exists():
-            shards.write_manifest()
-    _say_whole(shards)
+        else:
+            _log_complete(shards)
 
 
 def make_part(shards: ShardSet, part: int, parts: int, *, workers: int) -> None:
-    """Make every `parts`-th shard, from `part` on; who makes the last of all vouches for the set.
+    """Generate every `parts`-th shard, starting at `part`; the process that finishes the last shard writes the manifest.
 
-    For many processes, on whatever machines, over one file system. Nothing is locked: shards and manifest appear whole, and
-    have the same bytes whoever makes them.
-
-    Args:
-        shards: The set.
-        part: Which of the parts.
-        parts: How many there are; the only part is made as `make` does.
-        workers: Processes.
+    For many processes, on any machines, with one file system. Nothing is locked: files appear whole, and have the same bytes
+    whoever writes them. A single part is generated as by `make`.
     """
     if parts == 1:
         make(shards, workers=workers)
         return
-    every = range(shards.spec.num_shards)
     shards.directory.mkdir(parents=True, exist_ok=True)
-    with _explain_full_disk(shards):
-        if missing := _missing(shards, every[part::parts]):
-            _make(missing, shards, workers)
-        if not all(shards.path(shard).exists() for shard in every) or _missing(shards, every):
-            log.info("%s: part %d of %d is whole, others are not yet", shards.directory, part, parts)
-            return
-        if missing or not (shards.directory / MANIFEST).exists():
-            shards.write_manifest()
-    _say_whole(shards)
+    if not _complete(shards, range(part, shards.spec.num_shards, parts), workers):
+        log.info("%s: part %d of %d is complete, others are not", shards.directory, part, parts)
 
 
-def _say_whole(shards: ShardSet) -> None:
+def _complete(shards: ShardSet, wanted: Sequence[int], workers: int) -> bool:
+    """Generate the missing ones of the wanted shards, and the manifest if all others exist; return whether they do."""
+    every = range(shards.spec.num_shards)
+    if missing := _missing(shards, wanted):
+        _generate(missing, shards, workers)
+    if wanted != every and (not all(path.exists() for path in shards.paths()) or _missing(shards, every)):
+        return False
+    if missing or not (shards.directory / MANIFEST).exists():
+        shards.write_manifest()
+    _log_complete(shards)
+    return True
+
+
+def _log_complete(shards: ShardSet) -> None:
     spec = shards.spec
-    log.info("%s: %d experiments, %d shards, all whole", shards.directory, spec.num_experiments, spec.num_shards)
+    log.info("%s: all %d experiments in %d shards", shards.directory, spec.num_experiments, spec.num_shards)
 
 
 def _missing(shards: ShardSet, wanted: Iterable[int]) -> list[int]:
-    """Those of the wanted shards that are not there, or damaged."""
+    """Return those of the wanted shards that do not exist or are damaged."""
     checksums = shards.checksums() or {}
     missing = []
     for shard in wanted:
@@ -96,48 +91,34 @@ def _missing(shards: ShardSet, wanted: Iterable[int]) -> list[int]:
                 shards.verify(shard, checksums.get(path.name))
                 continue
             except DamagedShardError as error:
-                log.warning("%s is damaged (%s): making it again", path, error)
+                log.warning("%s is damaged (%s): generating it again", path, error)
         missing.append(shard)
     return missing
 
 
-def _make(missing: list[int], shards: ShardSet, workers: int) -> None:
-    total = sum(map(shards.num_made, missing))
-    context = multiprocessing.get_context("spawn")
-    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
-        multiprocessing.set_start_method("spawn", force=True)  # a job of joblib: its "loky" is unknown to its children
-    done = context.Value("q", 0)
-    start, took, told = time.monotonic(), defaultdict[str, float](float), False
+def _generate(missing: list[int], shards: ShardSet, workers: int) -> None:
+    done, total = multiprocessing.get_context("spawn").Value("q", 0), sum(map(shards.num_steps, missing))
+    start, is_warned, costs = time.monotonic(), False, defaultdict[str, float](float)
     with (
-        progress_bar(shards.title, total) as advance_to,
-        ProcessPoolExecutor(min(workers, len(missing)), context, _start_worker, (done,)) as pool,
-        ending_workers(),
+        progress_bar(shards.title, total) as bar,
+        worker_pool(min(workers, len(missing)), _share_count, done) as pool,
     ):
-        pending = {pool.submit(_make_shard, shard, shards) for shard in missing}
-        try:
-            while pending:
-                finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    for what, value in future.result().items():
-                        took[what] += value
-                advance_to(done.value)
-                if not told and not done.value and time.monotonic() - start > PATIENCE_S:
-                    told = True
-                    log.warning("%s: none in %d s%s", shards.title, PATIENCE_S, shards.why_slow)
-        except BrokenProcessPool as error:
-            check_space(shards.directory / MANIFEST)  # HDF5 can end a process that cannot write
-            unguarded = (
-                "" if done.value else f"a script of your own has to begin with {GUARD}, which starts processes; else "
-            )
-            raise CophyError(
-                f"{unguarded}a worker process was killed (out of memory?): finished shards are kept, run again with fewer workers="
-            ) from error
-    each = ", ".join(f"{value / max(total, 1):.3g} {what}" for what, value in took.items())
+        pending = {pool.submit(_generate_shard, shard, shards) for shard in missing}
+        while pending:
+            finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
+            for future in finished:
+                for unit, cost in future.result().items():
+                    costs[unit] += cost
+            bar.update(done.value - bar.n)
+            if not (is_warned or done.value) and time.monotonic() - start > PATIENCE_S:
+                is_warned = True
+                log.warning("%s: no experiment after %d s%s", shards.title, PATIENCE_S, shards.slow_hint)
+    each = ", ".join(f"{cost / max(total, 1):.3g} {unit}" for unit, cost in costs.items())
     log.info("%d experiments in %.0f s; per experiment %s", total, time.monotonic() - start, each)
 
 
-def _make_shard(shard: int, shards: ShardSet) -> dict[str, float]:
-    """Make one shard in a worker."""
+def _generate_shard(shard: int, shards: ShardSet) -> dict[str, float]:
+    """Generate one shard in a worker; return its cost by unit."""
 
     def advance(experiments: int) -> None:
         with _done.get_lock():
@@ -145,59 +126,39 @@ def _make_shard(shard: int, shards: ShardSet) -> dict[str, float]:
 
     start = time.process_time()
     with appearing_whole(shards.path(shard)) as path:
-        took = shards.write(path, shard, advance)
-    return {**took, "CPU-s": time.process_time() - start}
+        costs = shards.write(path, shard, advance)
+    return {**costs, "CPU-s": time.process_time() - start}
 
 
-def _start_worker(done: "Synchronized[int]") -> None:
+def _share_count(done: "Synchronized[int]") -> None:
     global _done
     _done = done
-    begin_worker()
 
 
-@contextmanager
-def progress_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A bar of experiments; the function it gives moves it to a count."""
-    seconds = 0.5 if sys.stderr.isatty() else 20.0  # between updates: a log wants fewer lines
-    with tqdm(total=total, unit="exp", desc=title, mininterval=seconds, smoothing=0.1) as bar:
-
-        def advance_to(count: int) -> None:
-            bar.update(count - bar.n)
-
-        yield advance_to
+def progress_bar(title: str, total: int) -> "tqdm[Any]":
+    """Return a progress bar of experiments."""
+    seconds = 0.5 if sys.stderr.isatty() else 20.0  # between updates: fewer lines in a log
+    return tqdm(total=total, unit="exp", desc=title, mininterval=seconds, smoothing=0.1)
 
 
 @contextmanager
 def _locked(directory: Path) -> Iterator[bool]:
-    """Lock a dataset's directory for one process; yields False where the directory cannot be written to.
+    """Lock a dataset's directory; yield False if it cannot be written to.
 
-    File systems without locks get none: two processes would then write the same shards, which appear whole.
+    On file systems without locks nothing is locked: two processes may then write the same shards, which appear whole.
     """
     directory.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(directory / ".lock")
+    writable = True
     try:
-        lock = FileLock(directory / ".lock").acquire()
-    except NotImplementedError:  # of filelock: the file system has no locks
-        yield True
-        return
+        lock.acquire()
+    except NotImplementedError:  # raised by filelock: the file system has no locks
+        pass
     except OSError as error:
         if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
             raise
-        yield False
-        return
-    with lock:
-        yield True
-
-
-@contextmanager
-def _explain_full_disk(shards: ShardSet) -> Iterator[None]:
+        writable = False
     try:
-        yield
-    except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        count = shards.spec.num_shards
-        whole = sum(shards.path(shard).exists() for shard in range(count))
-        raise CophyError(
-            f"no space left for {shards.directory} ({whole} of {count} shards are done and safe): "
-            f"free some, or move with data_dir=, and run the same command again"
-        ) from error
+        yield writable
+    finally:
+        lock.release()

@@ -1,67 +1,66 @@
-"""The pictures of a dataset: RGB, depth and segmentation of its states, in shards beside them; all lossless."""
+"""Images of a dataset: RGB, depth and segmentation of its states, in shards next to them; all lossless."""
 
 import hashlib
 import itertools
 import json
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import h5py
 import hdf5plugin
 import numpy as np
 
 from cophy.dataset import generation
-from cophy.dataset.cards import write_picture_card
-from cophy.dataset.experiment_set import ALL, Clip, ExperimentSet, NeededFrames, Pictures, Reader
-from cophy.dataset.shards import Field, Fields, ShardSet, creating, open_for_reading
+from cophy.dataset.cards import write_image_card
+from cophy.dataset.experiment_set import ALL_FRAMES, Clip, ExperimentSet, NeededFrames, Pictures, Reader
+from cophy.dataset.shards import Arrays, Field, Fields, ShardSet, creating, open_for_reading
 from cophy.scenario.rendering import MODALITIES, NO_OBJECT, Frames, Renderer, RenderSettings
 
-Read = TypeVar("Read")
-FORMAT_VERSION = 1  # raise it when what is stored, or what a picture looks like, changes
-FRAMES_PER_CHUNK = 5  # a random frame costs the decompression of five
-CHANNELS = {"rgb": ((3,), "|u1"), "depth": ((), "<u2"), "segmentation": ((), "|u1")}
-AXES = "experiment, sequence (0: AB, 1: CD), frame, row, column"
-SAID = {
+IMAGE_FORMAT = 1  # increase it when what is stored, or what an image looks like, changes
+FRAMES_PER_CHUNK = 5  # reading a single frame decompresses five
+FRAME = "experiment, sequence (0: AB, 1: CD), frame"
+AXES = f"{FRAME}, row, column"
+DESCRIPTIONS = {  # stored in the files
     "rgb": {"axes": f"{AXES}, red green blue", "meaning": "colours"},
     "depth": {"axes": AXES, "unit": "mm", "meaning": "distance along the camera's axis; 0 where there is nothing"},
     "segmentation": {"axes": AXES, "meaning": f"slot of the object that is seen; {NO_OBJECT} where there is none"},
     "boxes": {
-        "axes": "experiment, sequence (0: AB, 1: CD), frame, slot, x1 y1 x2 y2",
+        "axes": f"{FRAME}, slot, x1 y1 x2 y2",
         "unit": "px",
         "meaning": "first and last column and row of what is seen of the object; -1 where it is not seen",
     },
     "drawn": {
-        "axes": "experiment, sequence (0: AB, 1: CD), frame",
+        "axes": FRAME,
         "meaning": "1 where there is a picture; all else of a frame without one is zero, its boxes -1",
     },
 }
 
 
 class Images(ShardSet):
-    """Pictures of frames of AB (sequence 0) and CD (1), in a directory below that of the states.
+    """Images of frames of AB (sequence 0) and CD (1), in a directory below that of the states.
 
     rgb: (experiment, 2, T, R, R, 3) uint8. depth: (experiment, 2, T, R, R) uint16. segmentation: the same shape, uint8.
-    boxes: (experiment, 2, T, slot, 4) int16. `SAID` has their units and meanings. Where only some frames are needed, all
-    arrays are as large; `drawn` (experiment, 2, T) says which there are, and the others take no room.
+    boxes: (experiment, 2, T, slot, 4) int16. `DESCRIPTIONS` has their units and meanings. If only some frames are needed, the
+    arrays have the same shapes; `drawn` (experiment, 2, T) marks the frames that exist, the others take no space.
     """
 
-    def __init__(self, states: ExperimentSet, render: RenderSettings, needed: NeededFrames = ALL) -> None:
+    def __init__(self, states: ExperimentSet, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> None:
         self.states, self.render, self.needed = states, render, needed
-        content = json.dumps([FORMAT_VERSION, sorted(render.modalities), render.resolution, render.backend.value])
-        kind = "rgb" if render.modalities == ["rgb"] else "images"
-        name = f"{kind}-{render.resolution}-{render.backend.value}-{hashlib.sha256(content.encode()).hexdigest()[:6]}"
-        if needed != ALL:
-            name = f"{name}-{needed.name}"
-        choice = "render=rgb" if kind == "rgb" else f"render=all 'render.modalities=[{','.join(render.modalities)}]'"
-        script, keys = needed.drawn_by
-        command = (
-            f"{states.command_for(script)} {choice} render.resolution={render.resolution} "
-            f"render.backend={render.backend.value}{keys}"
+        content = json.dumps([IMAGE_FORMAT, sorted(render.modalities), render.resolution, render.backend.value])
+        is_rgb = render.modalities == ["rgb"]
+        name = (
+            f"{'rgb' if is_rgb else 'images'}-{render.resolution}-{render.backend.value}-"
+            f"{hashlib.sha256(content.encode()).hexdigest()[:6]}{'' if needed == ALL_FRAMES else f'-{needed.name}'}"
         )
-        super().__init__(states.spec, states.directory / name, title=f"pictures of {states.title}", command=command)
+        choice = "render=rgb" if is_rgb else f"render=all 'render.modalities=[{','.join(render.modalities)}]'"
+        command = (
+            f"{states.command_for(needed.script)} {choice} render.resolution={render.resolution} "
+            f"render.backend={render.backend.value} {needed.keys}"
+        ).rstrip()
+        super().__init__(states.spec, states.directory / name, title=f"images of {states.title}", command=command)
 
     @property
     def name(self) -> str:
@@ -69,69 +68,78 @@ class Images(ShardSet):
         return self.directory.name
 
     def ensure(self, *, workers: int) -> None:
-        """Generate and render what is missing; nothing where another set holds the same pictures."""
+        """Generate and render what is missing; nothing if a superset is finished."""
         generation.ensure(self.states, workers=workers)
-        generation.ensure(self.or_more(), workers=workers)
+        generation.ensure(self.best_available(), workers=workers)
 
-    def or_more(self) -> "Images":
-        """The set that pictures are read from: itself, or where it is not there, a finished one with more.
+    def best_available(self) -> "Images":
+        """Return this set if it is finished, otherwise a finished superset, otherwise this set.
 
-        A picture is the same in all sets of one resolution and backend, so it is not rendered twice. More modalities are
+        An image is the same in all sets of one resolution and backend, so it is not rendered twice. More modalities are
         preferred to more frames.
         """
         if self.is_finished():
             return self
         others = [name for name in MODALITIES if name not in self.render.modalities]
-        added = [more for count in range(len(others) + 1) for more in itertools.combinations(others, count)]
-        for needed, more in itertools.product((self.needed, *self.needed.wider), added):
-            wanted = [name for name in MODALITIES if name in (*self.render.modalities, *more)]
-            found = Images(self.states, replace(self.render, modalities=wanted), needed)
-            if found.is_finished():
-                return found
+        added = [names for count in range(len(others) + 1) for names in itertools.combinations(others, count)]
+        for needed, names in itertools.product((self.needed, *self.needed.supersets), added):
+            modalities = [name for name in MODALITIES if name in (*self.render.modalities, *names)]
+            images = Images(self.states, replace(self.render, modalities=modalities), needed)
+            if images.is_finished():
+                return images
         return self
 
-    def reader(self, arrays: dict[str, np.ndarray]) -> Reader:
-        """Reads frames; keeps the shards open that it has read from."""
-        opened = self.or_more()._opening()
-        return lambda row, sequence, time: opened(row, partial(_frame, sequence=sequence, time=time))
+    def reader(self, arrays: Arrays) -> Reader:
+        """Return a function that reads a frame; shards stay open."""
+        opened = self.best_available()._opener()
 
-    def pictures(self, arrays: dict[str, np.ndarray], modalities: Sequence[str]) -> Pictures:
-        """Reads experiments; keeps the shards open that it has read from."""
-        opened = self.or_more()._opening()
-
-        def read(row: int) -> dict[str, np.ndarray]:
-            return opened(row, lambda stored, place: {name: stored[name][place] for name in modalities})
+        def read(row: int, sequence: int, time: int) -> np.ndarray:
+            with opened(row) as (stored, place):
+                if "drawn" in stored and not stored["drawn"][place, sequence, time]:
+                    raise ValueError(f"frame {time} of sequence {sequence} was not requested, so it was not rendered")
+                return np.asarray(stored["rgb"][place, sequence, time])
 
         return read
 
-    def _opening(self) -> Callable[[int, Callable[[h5py.File, int], Read]], Read]:
-        """Opens the shard of an experiment once, and reads from it."""
+    def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> Pictures:
+        """Return a function that reads all images of an experiment; shards stay open."""
+        opened = self.best_available()._opener()
+
+        def read(row: int) -> Arrays:
+            with opened(row) as (stored, place):
+                return {name: stored[name][place] for name in modalities}
+
+        return read
+
+    def _opener(self) -> Callable[[int], AbstractContextManager[tuple[h5py.File, int]]]:
+        """Return a function that opens the shard of an experiment, each once, and yields it with the place of the experiment."""
         self.finished_checksums()
-        opened: dict[int, h5py.File] = {}
+        files: dict[int, h5py.File] = {}
         per_shard = len(self.spec.experiments_of_shard(0))
 
-        def read(row: int, part: Callable[[h5py.File, int], Read]) -> Read:
+        @contextmanager
+        def opened(row: int) -> Iterator[tuple[h5py.File, int]]:
             shard, place = divmod(row, per_shard)
             with self.explained(shard):
-                if shard not in opened:
-                    self.check(self.path(shard), shard)
-                    opened[shard] = open_for_reading(self.path(shard))
-                return part(opened[shard], place)
+                if shard not in files:
+                    self.check(shard)
+                    files[shard] = open_for_reading(self.path(shard))
+                yield files[shard], place
 
-        return read
+        return opened
 
     def sequences(self, shard: int) -> Iterator[Clip]:
-        source = self.or_more()
-        needed = self._needed(shard, self.states.read(shard))
-        with source.explained(shard), source.opened(source.path(shard), shard) as stored:
+        source = self.best_available()
+        needed = self._mask(shard, self.states.read(shard))
+        with source.explained(shard), source.opened(shard) as stored:
             for row, sequence in np.argwhere(needed.any(axis=2)).tolist():
                 times = np.flatnonzero(needed[row, sequence])
                 yield row, sequence, times, stored["rgb"][row, sequence, times]
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
-        """Draw the frames of a shard's experiments, a sequence at a time."""
+        """Render the frames of a shard's experiments, a sequence at a time."""
         arrays, scenario = self.states.read(shard), self.spec.scenario
-        stride, needed = scenario.clock.states_per_frame, self._needed(shard, arrays)
+        stride, needed = scenario.clock.states_per_frame, self._mask(shard, arrays)
         with (
             Renderer(scenario, self.render.resolution, self.render.backend) as renderer,
             creating(path, self.fields(shard), self.attributes(shard)) as stored,
@@ -157,76 +165,68 @@ class Images(ShardSet):
             return {"CPU-s inside PyBullet's camera": renderer.camera_seconds}
 
     def write_manifest(self) -> None:
-        """Vouch for finished pictures, and say what they are."""
         super().write_manifest()
-        write_picture_card(self.directory, self.title, self.command, self.fields(0))
+        write_image_card(self.directory, self.title, self.command, self.fields(0))
 
-    def check(self, path: Path, shard: int) -> None:
-        """The right arrays, and of the states that lie beside them; pixels have checksums of their own."""
-        with self.opened(path, shard):
+    def check(self, shard: int) -> None:
+        """Open the file and check its structure and states; pixels have checksums of their own."""
+        with self.opened(shard):
             pass
 
     def sources(self, shard: int) -> dict[str, str]:
-        """The states that are shown."""
         return {"states_sha256": self.states.checksum(shard)}
 
     def fields(self, shard: int) -> Fields:
         size, scenario = self.render.resolution, self.spec.scenario
-        sequences = (len(self.spec.experiments_of_shard(shard)), 2, scenario.clock.num_frames)
-        fields = {
-            name: _field(name, (*sequences, size, size, *channels), dtype)
-            for name, (channels, dtype) in CHANNELS.items()
-            if name in self.render.modalities
+        frames = (len(self.spec.experiments_of_shard(shard)), 2, scenario.clock.num_frames)
+        shapes = {
+            "rgb": ((*frames, size, size, 3), "|u1"),
+            "depth": ((*frames, size, size), "<u2"),
+            "segmentation": ((*frames, size, size), "|u1"),
+            "boxes": ((*frames, scenario.num_slots, 4), "<i2"),
         }
-        fields["boxes"] = _field("boxes", (*sequences, scenario.num_slots, 4), "<i2")
-        return (
-            fields
-            if self.needed == ALL
-            else {
-                **fields,
-                "drawn": Field(sequences, "|u1", axes=SAID["drawn"]["axes"], meaning=SAID["drawn"]["meaning"]),
-            }
-        )
+        fields = {
+            name: Field(
+                shape,
+                dtype,
+                storage={
+                    "chunks": (1, 1, FRAMES_PER_CHUNK, *shape[3:]),
+                    "fletcher32": True,
+                    **hdf5plugin.Zstd(clevel=3),
+                },
+                **DESCRIPTIONS[name],
+            )
+            for name, (shape, dtype) in shapes.items()
+            if name in (*self.render.modalities, "boxes")
+        }
+        if self.needed != ALL_FRAMES:
+            fields["drawn"] = Field(frames, "|u1", {}, **DESCRIPTIONS["drawn"])
+        return fields
 
     def description(self) -> dict[str, Any]:
-        """What was rendered, of which dataset, and with what."""
-        settings = asdict(self.render) | {"backend": self.render.backend.value}
-        of_some = {} if self.needed == ALL else {"frames": self.needed.name}
-        return {
-            "format": FORMAT_VERSION,
+        """Return what was rendered, from which dataset, and how."""
+        description = {
+            "format": IMAGE_FORMAT,
             "dataset": self.states.id,
-            "render": settings,
+            "render": asdict(self.render) | {"backend": self.render.backend.value},
             "no_object": NO_OBJECT,
-            **of_some,
         }
+        return description if self.needed == ALL_FRAMES else {**description, "frames": self.needed.name}
 
-    def _needed(self, shard: int, states: dict[str, np.ndarray]) -> np.ndarray:
+    def _mask(self, shard: int, states: Arrays) -> np.ndarray:
         first = self.spec.experiments_of_shard(shard)[0]
-        return self.needed.of(states["split"], first, self.spec.scenario.clock.num_frames)
-
-
-def _frame(stored: h5py.File, place: int, *, sequence: int, time: int) -> np.ndarray:
-    if "drawn" in stored and not stored["drawn"][place, sequence, time]:
-        raise ValueError(f"frame {time} of sequence {sequence} was not asked for, so it was not drawn")
-    return np.asarray(stored["rgb"][place, sequence, time])
-
-
-def _field(name: str, shape: tuple[int, ...], dtype: str) -> Field:
-    chunks = (1, 1, FRAMES_PER_CHUNK, *shape[3:])
-    return Field(
-        shape, dtype, storage={"chunks": chunks, "fletcher32": True, **hdf5plugin.Zstd(clevel=3)}, **SAID[name]
-    )
+        return self.needed.mask(states["split"], first, self.spec.scenario.clock.num_frames)
 
 
 def bounding_boxes(frames: Frames, num_slots: int) -> np.ndarray:
-    """(T, slot, 4) int16: x1, y1, x2, y2 of the pixels of each slot's object, inclusive; -1 where it is not seen."""
+    """Return x1, y1, x2, y2 of the visible pixels of each slot's object, inclusive; -1 if none: (T, slot, 4) int16."""
     from scipy.ndimage import find_objects  # here: a third of a second that every command would spend at its start
 
     boxes = np.full((len(frames.segmentation), num_slots, 4), -1, dtype=np.int16)
     labels = frames.segmentation + np.uint8(1)  # 0 is background: NO_OBJECT, the largest uint8, wraps around to it
     for time, frame in enumerate(labels):
-        for slot, found in enumerate(find_objects(frame, max_label=num_slots)):
-            if found is not None:
-                rows, columns = found
+        for slot, place in enumerate(find_objects(frame, max_label=num_slots)):
+            if place is not None:
+                rows, columns = place
                 boxes[time, slot] = (columns.start, rows.start, columns.stop - 1, rows.stop - 1)
     return boxes

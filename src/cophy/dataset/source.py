@@ -1,4 +1,4 @@
-"""Where experiments come from; here the generator, and `cophy.released` adds datasets that others released."""
+"""Sources of experiments: the generator; `cophy.released` adds datasets that others released."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Which dataset is meant: the configuration that determines every byte of it, and its name on disk."""
+"""Specification of a generated dataset: the configuration that determines every byte of it, and its name on disk."""
 
 import hashlib
 import json
@@ -10,7 +10,7 @@ from typing import Any
 from cophy.errors import CophyError, check_name
 from cophy.scenario import Scenario
 
-FORMAT_VERSION = 3  # raise it when the arrays of a shard change, or the experiments of every scenario do
+FORMAT_VERSION = 3  # increase it when the arrays of a shard or the experiments of all scenarios change
 
 
 @dataclass
@@ -32,8 +32,8 @@ class Size:
 class DatasetSpec:
     """One generated dataset.
 
-    data_seed: all randomness of its experiments and of its splits follows from it. overrides: what scenario and size change
-    beyond their names, as a command line has it; only commands are made of it.
+    data_seed: seed of its experiments and splits. overrides: command-line keys by which scenario and size differ from the files
+    of their names; they only occur in commands that messages suggest.
     """
 
     scenario: Scenario
@@ -52,26 +52,26 @@ class DatasetSpec:
 
     @property
     def num_experiments(self) -> int:
-        """Experiments in the dataset, an even number."""
+        """Number of experiments, which is even."""
         return self.size.num_experiments[self.scenario.name][str(self.num_objects)]
 
     @property
     def num_shards(self) -> int:
-        """Files the experiments are stored in."""
+        """Number of files."""
         return -(-self.num_experiments // self.size.experiments_per_shard)
 
     def experiments_of_shard(self, shard: int) -> range:
-        """Indices of the experiments in a shard."""
+        """Return the indices of the experiments in a shard."""
         first = shard * self.size.experiments_per_shard
         return range(first, min(first + self.size.experiments_per_shard, self.num_experiments))
 
     def generating_configuration(self) -> dict[str, Any]:
-        """Everything the bytes depend on, as plain values. `task` only says how predictions are judged."""
+        """Return everything the bytes depend on, as plain values. `task` only says how predictions are evaluated."""
         scenario = {key: value for key, value in asdict(self.scenario).items() if key != "task"}
-        searched = self.scenario.search_version()
+        search_version = self.scenario.search_version()
         return {
             "format": FORMAT_VERSION,
-            **({"search": searched} if searched > 1 else {}),  # so that data of a first version keep their id
+            **({"search": search_version} if search_version > 1 else {}),  # data of the first version keep their id
             "scenario": scenario,
             "num_objects": self.num_objects,
             "num_experiments": self.num_experiments,
@@ -81,16 +81,16 @@ class DatasetSpec:
 
     @property
     def id(self) -> str:
-        """Name of the dataset's directory: objects, size and a hash, so that a changed constant reuses no stale data."""
+        """Name of the directory: objects, size and a hash of the configuration, so that no outdated data are used."""
         text = json.dumps(self.generating_configuration(), sort_keys=True)
         return f"{self.num_objects}-{self.size.name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
     def directory(self, data_dir: Path) -> Path:
-        """Where the dataset lies."""
+        """Return the directory of the dataset."""
         return data_dir / self.scenario.name / self.id
 
     def command_line_keys(self, directory: Path) -> str:
-        """Return the keys by which a command names this dataset in its directory."""
+        """Return the command-line keys for this dataset in its directory."""
         names = f"scenario={self.scenario.name} size={self.size.name} 'num_objects=[{self.num_objects}]'"
         places = f"data_seed={self.data_seed} data_dir={directory.parents[1]}"
         return " ".join([names, places, *map(shlex.quote, self.overrides)])

@@ -1,4 +1,4 @@
-"""Which experiments train, validate and test: 0.7 : 0.2 : 0.1 by twin pair, and the parts `split=` asks for."""
+"""Training, validation and test experiments: 0.7 : 0.2 : 0.1 of the twin pairs, and the parts that `split=` names."""
 
 from dataclasses import dataclass
 
@@ -13,10 +13,10 @@ FRACTIONS = (0.7, 0.2, 0.1)  # paper Sec. 3
 
 @dataclass
 class Part:
-    """The half of a split that is trained on, or tested on.
+    """Experiments that are trained on, or tested on.
 
-    moving: only experiments whose moving object is a sphere, or a cylinder (paper Table 4).
-    configurations: only seen, or only unseen, confounder configurations (paper Table 2, †; `Scenario.seen_configurations`).
+    moving: sphere or cylinder, to select the experiments in which it moves (paper Table 4).
+    configurations: seen or unseen, to select by confounder configuration (paper Table 2, †; `Scenario.seen_configurations`).
     """
 
     num_objects: int
@@ -30,7 +30,7 @@ class Part:
             raise ValueError(f"split: configurations={self.configurations} is neither seen nor unseen")
 
     def select(self, arrays: dict[str, np.ndarray]) -> np.ndarray:
-        """(experiment,) bool: the experiments of a dataset that belong to this part."""
+        """Return which experiments of a dataset belong to this part, (experiment,) bool."""
         selected = np.ones(len(arrays["split"]), dtype=bool)
         if self.moving is not None:
             moves = np.linalg.norm(arrays["states"][:, 0, 0, :, 7:10], axis=-1) > 0
@@ -40,16 +40,16 @@ class Part:
         return selected
 
     def select_split(self, arrays: dict[str, np.ndarray], split: str) -> np.ndarray:
-        """(experiment,) bool: those of this part that belong to train, val or test."""
+        """Return which experiments belong to this part and to train, val or test, (experiment,) bool."""
         return self.select(arrays) & (arrays["split"] == SPLITS.index(split))
 
 
 @dataclass
 class Split:
-    """What is trained and validated on, and what is tested on (files in conf/split).
+    """Parts of the data to train and validate on, and to test on (files in conf/split).
 
-    epochs_factor: times `trainer.max_epochs`, the epochs that a predictor is trained. Half of the data needs twice as many
-    for about as many optimiser steps.
+    epochs_factor: factor of `trainer.max_epochs` for predictors. Half of the data needs twice as many epochs for about as many
+    optimiser steps.
     """
 
     name: str
@@ -63,11 +63,11 @@ class Split:
             raise ValueError(f"split: epochs_factor={self.epochs_factor} must be at least 1")
 
     def counts(self, num_objects: list[int] | None = None) -> list[int]:
-        """The given numbers of objects, else those that are trained and tested on."""
+        """Return these numbers of objects, by default those that are trained and tested on."""
         return sorted(num_objects or {self.train.num_objects, self.test.num_objects})
 
     def check_scenario(self, scenario: Scenario) -> None:
-        """Refuse a scenario this split was not made for."""
+        """Raise CophyError if the split does not belong to this scenario."""
         if self.name not in scenario.task.splits:
             choices = ", ".join(scenario.task.splits)
             raise CophyError(
@@ -76,7 +76,7 @@ class Split:
 
 
 def split_of_experiments(num_experiments: int, data_seed: int) -> np.ndarray:
-    """(experiment,) index into SPLITS; the twins 2p and 2p + 1 always share theirs."""
+    """Return the index into SPLITS of each experiment, equal for the twins 2p and 2p + 1: (experiment,)."""
     num_pairs = num_experiments // 2
     ends = np.round(np.cumsum(FRACTIONS) * num_pairs)
     rank = np.random.default_rng((data_seed, 0x5B117)).permutation(num_pairs)

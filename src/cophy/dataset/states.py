@@ -1,29 +1,225 @@
-"""Stored towers as statics sees them: blocks from the ground up.
+"""Generated experiments: the arrays of their shards, the conversion of experiments to arrays and back, and the dataset.
 
-The simulated part of a generated dataset: states, confounders, do-operation and split of every experiment.
+The dataset (`States`) holds states, confounders, do-operation and split of every experiment; images are stored next to it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from cophy.dataset.cards import write_card
-from cophy.dataset.experiment_set import ALL, ExperimentSet, NeededFrames
-from cophy.dataset.fields import experiment_fields, to_arrays
+from cophy.dataset.experiment_set import ALL_FRAMES, ExperimentSet, NeededFrames
 from cophy.dataset.images import Images
-from cophy.dataset.shards import DamagedShardError, Fields, encode, read_format
-from cophy.dataset.spec import FORMAT_VERSION, DatasetSpec
-from cophy.dataset.splits import SPLITS
-from cophy.scenario import Experiment, Shape, Simulator
+from cophy.dataset.shards import Arrays, Field, Fields, empty_arrays, encode
+from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.splits import SPLITS, split_of_experiments
+from cophy.scenario import Displace, Experiment, Scenario, Shape, Simulator
+from cophy.scenario.experiment import DoOperation, Remove
+from cophy.scenario.physics import Body, Scene, Trajectory, x_axis, z_axis
 from cophy.scenario.rendering import RenderSettings
+
+HIDDEN = "a confounder: no picture shows it"
+EMPTY = "zero where a slot is empty"
+SHAPES = ", ".join(["0: none", *(f"{shape.value}: {shape.name.lower()}" for shape in Shape)])
+SEQUENCES = "sequence 0 is AB, which is observed, and 1 is CD, the counterfactual"
+CONFOUNDERS_OF_OBJECTS = ("mass", "friction", "restitution")
+
+
+def scene_fields(count: int, num_times: int, num_slots: int) -> Fields:
+    """Return the fields of `count` experiments that generated and released data share: scenes and their sequences.
+
+    Args:
+        count: Number of experiments.
+        num_times: States of a sequence; they are compressed one experiment at a time.
+        num_slots: Slots of the scenario.
+    """
+
+    def per_slot(dtype: str, meaning: str, unit: str = "") -> Field:
+        return Field((count, num_slots), dtype, axes="experiment, slot", unit=unit, meaning=meaning)
+
+    states = (count, 2, num_times, num_slots, 13)
+    return {
+        "states": Field(
+            states,
+            "<f4",
+            storage={"chunks": (1, *states[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True},
+            axes="experiment, sequence, time, slot, value",
+            unit="m, 1, m/s, rad/s",
+            meaning="position (3), quaternion x y z w (4), linear velocity (3), angular velocity (3); "
+            f"{EMPTY}; {SEQUENCES}",
+        ),
+        "presence": Field(
+            (count, 2, num_slots),
+            "|b1",
+            axes="experiment, sequence, slot",
+            meaning=f"whether the slot holds an object; {SEQUENCES}",
+        ),
+        "shape": per_slot("|u1", f"{SHAPES}; an object that is removed in C has its shape"),
+        "object_index": per_slot(
+            "|i1",
+            "place of the object in the scenario's own order, which `configuration` counts in (towers: from the bottom up); "
+            "-1 where the slot is empty",
+        ),
+        "mass": per_slot("<f4", f"mass; {HIDDEN}; {EMPTY}", "kg"),
+        "friction": per_slot("<f4", f"coefficient of lateral friction; {HIDDEN}; {EMPTY}", "1"),
+        "restitution": per_slot("<f4", f"coefficient of restitution; {HIDDEN}; {EMPTY}", "1"),
+        "gravity": Field((count, 3), "<f4", axes="experiment, x y z", unit="m/s^2", meaning=f"gravity; {HIDDEN}"),
+    }
+
+
+def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
+    """Return the fields of `count` generated experiments."""
+
+    def per_experiment(dtype: str, meaning: str) -> Field:
+        return Field((count,), dtype, axes="experiment", meaning=meaning)
+
+    scenario = spec.scenario
+    return {
+        **scene_fields(count, scenario.clock.num_states, scenario.num_slots),
+        "configuration": per_experiment("<i4", "index of the confounders' values among all combinations"),
+        "seen": per_experiment(
+            "|b1", "whether the combination belongs to the half that the splits 3to3_unseen and 4to4_unseen train on"
+        ),
+        "do_operation": per_experiment("|u1", f"what changes A into C: {_numbered(scenario.do_operations)}"),
+        "do_slot": per_experiment("|u1", "slot of the object that is removed or moved"),
+        "do_offset": Field(
+            (count, 3),
+            "<f4",
+            axes="experiment, x y z",
+            unit="m",
+            meaning="by how much it is moved; zero where it is removed",
+        ),
+        "cell": per_experiment("|u1", f"the kind of experiment that was searched for: {_numbered(scenario.cells())}"),
+        "twin": per_experiment("<i4", "number of the pair of twins; experiments 2 i and 2 i + 1 are twins"),
+        "split": per_experiment("|u1", _numbered(SPLITS)),
+        "background_seed": per_experiment("<i4", "what floor and backdrop of the pictures follow from"),
+        "pair_simulations": per_experiment("<i4", "simulations that the search for the pair took"),
+    }
+
+
+def _numbered(names: Iterable[str]) -> str:
+    return ", ".join(f"{index}: {name}" for index, name in enumerate(names))
+
+
+def to_arrays(experiments: Sequence[Experiment], indices: Sequence[int], spec: DatasetSpec) -> Arrays:
+    """Stack experiments.
+
+    Args:
+        experiments: Both twins of each pair, in order.
+        indices: Their indices in the dataset.
+        spec: The dataset.
+    """
+    arrays = empty_arrays(experiment_fields(spec, len(indices)))
+    arrays["object_index"][:] = -1
+    arrays["twin"][:] = np.array(indices) // 2
+    arrays["split"][:] = split_of_experiments(spec.num_experiments, spec.data_seed)[list(indices)]
+    seen = spec.scenario.seen_configurations(spec.num_objects, spec.data_seed)
+    for row, experiment in enumerate(experiments):
+        operation, sequences = experiment.do_operation, (experiment.observed, experiment.counterfactual)
+        values = {
+            "states": np.stack([sequence.states for sequence in sequences]),
+            "presence": np.stack([sequence.presence for sequence in sequences]),
+            "gravity": experiment.scene.gravity,
+            "configuration": experiment.configuration,
+            "seen": seen is None or seen[experiment.configuration],
+            "do_operation": spec.scenario.do_operations.index(operation.kind),
+            "do_slot": operation.slot,
+            "do_offset": operation.offset_m if isinstance(operation, Displace) else 0.0,
+            "cell": experiment.cell,
+            "background_seed": experiment.background_seed,
+            "pair_simulations": experiment.pair_simulations,
+        }
+        for name, value in values.items():
+            arrays[name][row] = value
+        for index, body in enumerate(experiment.scene.objects):
+            arrays["object_index"][row, body.slot] = index
+            arrays["shape"][row, body.slot] = body.shape
+            for name in CONFOUNDERS_OF_OBJECTS:
+                arrays[name][row, body.slot] = getattr(body, name)
+    return arrays
+
+
+def scene_of(arrays: Arrays, row: int, scenario: Scenario) -> Scene:
+    """Return A of an experiment under its confounders, from its first stored state (float32)."""
+    order = arrays["object_index"][row]
+    slots = sorted(np.flatnonzero(order >= 0).tolist(), key=lambda slot: order[slot])
+    bodies = (_body(arrays, row, slot, scenario.object_size_m) for slot in slots)
+    return Scene((scenario.floor(), *scenario.walls(), *bodies), gravity=_vector(arrays["gravity"][row]))
+
+
+def do_operation_of(arrays: Arrays, row: int, scenario: Scenario) -> DoOperation:
+    """Return the do-operation that changes A into C, for generated data."""
+    kind, slot = scenario.do_operations[arrays["do_operation"][row]], int(arrays["do_slot"][row])
+    if not arrays["presence"][row, 1, slot]:
+        return Remove(kind, slot)
+    return Displace(kind, slot, _vector(arrays["do_offset"][row]))
+
+
+def trajectories_of(arrays: Arrays, row: int) -> tuple[Trajectory, Trajectory]:
+    """Return AB and CD as they are stored."""
+    observed, counterfactual = (
+        Trajectory(states.astype(np.float64), presence)
+        for states, presence in zip(arrays["states"][row], arrays["presence"][row], strict=True)
+    )
+    return observed, counterfactual
+
+
+def _body(arrays: Arrays, row: int, slot: int, size_m: float) -> Body:
+    state = arrays["states"][row, 0, 0, slot].astype(np.float64)
+    x, y, z, w = (state[3:7] / np.linalg.norm(state[3:7])).tolist()
+    mass, friction, restitution = (float(arrays[name][row, slot]) for name in CONFOUNDERS_OF_OBJECTS)
+    return Body(
+        Shape(int(arrays["shape"][row, slot])),
+        (size_m, size_m, size_m),
+        position=_vector(state[:3]),
+        quaternion_xyzw=(x, y, z, w),
+        linear_velocity=_vector(state[7:10]),
+        slot=slot,
+        mass=mass,
+        friction=friction,
+        restitution=restitution,
+    )
+
+
+def _vector(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def visible_axis(quaternion_xyzw: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Return the direction of a cylinder's axis (with the sign that makes x ≥ 0) or of a block's own x axis.
+
+    quaternion_xyzw: (experiment, slot, 4). shape: (experiment, slot), codes of `Shape`. Zero for spheres and empty slots.
+    """
+    along_x, along_z, kind = x_axis(quaternion_xyzw), z_axis(quaternion_xyzw), shape[..., None]
+    unsigned = np.where(along_z[..., :1] < 0, -along_z, along_z)
+    return np.where(kind == Shape.CYLINDER, unsigned, np.where(kind == Shape.BOX, along_x, 0.0))
+
+
+def stable_frames(states: np.ndarray, stride: int, stable_speed: float) -> np.ndarray:
+    """Return which objects are stable in which frames.
+
+    Args:
+        states: (experiment, state, slot, 13) position, quaternion xyzw, linear and angular velocity.
+        stride: states per frame.
+        stable_speed: an object slower than this is stable, m/s.
+
+    Returns:
+        (experiment, frame 1 ... T-1, slot) bool: slow at every state after the frame before, up to and with this frame.
+    """
+    slow = np.linalg.norm(states[..., 7:10], axis=-1) < stable_speed
+    num_frames = slow.shape[1] // stride
+    after_first = slow[:, 1 : (num_frames - 1) * stride + 1]
+    return np.asarray(after_first.reshape(len(slow), num_frames - 1, stride, -1).all(axis=2))
 
 
 class States(ExperimentSet):
     """A generated dataset, in its own directory."""
 
     spec: DatasetSpec
+    slow_hint = "; there may be no experiment that fits changed settings (min_difference, min_effect, ranges, sizes)"
 
     def __init__(self, spec: DatasetSpec, data_dir: Path) -> None:
         directory = spec.directory(data_dir)
@@ -36,29 +232,15 @@ class States(ExperimentSet):
 
     @property
     def remedy(self) -> str:
-        return "take a larger size="
+        return "use a larger size="
 
-    def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> Images:
+    def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> Images:
         return Images(self, render, needed)
 
     def unseen_by(
         self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
     ) -> bool:
         return (num_experiments, data_seed) == (self.spec.size.num_experiments, self.spec.data_seed)
-
-    @property
-    def why_slow(self) -> str:
-        return "; settings of one's own (min_difference, min_effect, ranges, sizes) may leave no experiment to be found"
-
-    def remarks(self) -> list[str]:
-        beside = self.directory.parent.glob(f"{self.spec.num_objects}-{self.spec.size.name}-*")
-        formats = {directory: read_format(directory) for directory in sorted(beside)}
-        return [
-            f"{directory} is of format {found}, this version of cophy makes and reads format {FORMAT_VERSION}: delete "
-            "it, or use it with the version that made it, which its manifest.json names"
-            for directory, found in formats.items()
-            if found not in (None, FORMAT_VERSION)
-        ]
 
     def fields(self, shard: int) -> Fields:
         return experiment_fields(self.spec, len(self.spec.experiments_of_shard(shard)))
@@ -69,79 +251,25 @@ class States(ExperimentSet):
         experiments: list[Experiment] = []
         with Simulator() as simulator:
             for first in indices[::2]:
-                pair = first // 2
                 experiments += spec.scenario.twin_pair(
-                    spec.num_objects, data_seed=spec.data_seed, pair=pair, simulator=simulator
+                    spec.num_objects, data_seed=spec.data_seed, pair=first // 2, simulator=simulator
                 )
                 advance(2)
         path.write_bytes(encode(to_arrays(experiments, indices, spec), self.fields(shard), self.attributes(shard)))
         return {"simulations": simulator.num_simulations}
 
-    def check_arrays(self, arrays: dict[str, np.ndarray], shard: int) -> None:
-        for name, (first, end) in _ranges(self.spec).items():
-            outside = arrays[name][(arrays[name] < first) | (arrays[name] >= end)]
-            if len(outside):
-                raise DamagedShardError(f"'{name}' holds {outside[0]}, expected {first} to {end - 1}")
-        num_objects = self.spec.num_objects
-        counted = [-1] * (self.spec.scenario.num_slots - num_objects) + list(range(num_objects))
-        if (np.sort(arrays["object_index"], axis=1) != counted).any():
-            raise DamagedShardError(f"'object_index' does not count {num_objects} objects")
-        if ((arrays["shape"] > 0) != (arrays["object_index"] >= 0)).any():
-            raise DamagedShardError("'shape' is given for other slots than 'object_index'")
-
     def write_manifest(self) -> None:
-        """Vouch for a finished set, and say what it is."""
         super().write_manifest()
-        write_card(self.spec, self.directory, f"not run yet, `{self.command_for('audit')}`")
+        self.write_card(f"not run yet, `{self.command_for('audit')}`")
+
+    def write_card(self, audit: str) -> None:
+        """Write README.md and croissant.json; `audit` is a sentence about the result of an audit."""
+        write_card(self.spec, self.directory, fields=self.fields(0), checksums=self.finished_checksums(), audit=audit)
 
     def description(self) -> dict[str, Any]:
-        """Configuration and names of the cells."""
-        spec = self.spec
+        """Return the configuration and the names of the cells."""
         return {
-            "id": spec.id,
-            "configuration": spec.generating_configuration(),
-            "cells": list(spec.scenario.cells()),
+            "id": self.spec.id,
+            "configuration": self.spec.generating_configuration(),
+            "cells": list(self.spec.scenario.cells()),
         }
-
-
-def _ranges(spec: DatasetSpec) -> dict[str, tuple[int, int]]:
-    """First and end of what an array that points at something may hold."""
-    scenario = spec.scenario
-    return {
-        "shape": (0, max(Shape) + 1),
-        "configuration": (0, scenario.confounders.num_configurations(spec.num_objects)),
-        "do_operation": (0, len(scenario.do_operations)),
-        "do_slot": (0, scenario.num_slots),
-        "cell": (0, len(scenario.cells())),
-        "twin": (0, spec.num_experiments // 2),
-        "split": (0, len(SPLITS)),
-    }
-
-
-class StoredTowers(NamedTuple):
-    """The towers of A (sequence 0) and C (1), and what they are made of.
-
-    xy: (experiment, 2, level, 2) block centres at t = 0, metres; yaw: (experiment, 2, level), rad. num_levels:
-    (experiment, 2), fewer in a C whose top block is removed: levels above mean nothing.
-    mass: (experiment, level), kg; tilt: (experiment, 2), horizontal over vertical gravity.
-    """
-
-    xy: np.ndarray
-    yaw: np.ndarray
-    num_levels: np.ndarray
-    mass: np.ndarray
-    tilt: np.ndarray
-
-
-def stored_towers(arrays: dict[str, np.ndarray], num_objects: int) -> StoredTowers:
-    """The towers of a dataset's experiments, with `num_objects` blocks in A."""
-    index = np.where(arrays["object_index"] < 0, num_objects, arrays["object_index"])
-    levels = index.argsort(axis=1)[:, :num_objects]
-    initial = np.take_along_axis(arrays["states"][:, :, 0], levels[:, None, :, None], axis=2)
-    return StoredTowers(
-        xy=initial[..., :2],
-        yaw=2 * np.arctan2(initial[..., 5], initial[..., 6]),
-        num_levels=arrays["presence"].sum(axis=2),
-        mass=np.take_along_axis(arrays["mass"], levels, axis=1),
-        tilt=arrays["gravity"][:, :2] / -arrays["gravity"][:, 2:],
-    )

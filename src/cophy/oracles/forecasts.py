@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from cophy.dataset.experiment_set import ExperimentSet
-from cophy.dataset.features import stable_frames
 from cophy.dataset.shards import Field, Fields, ShardSet, empty_arrays, encode
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, split_of_experiments
-from cophy.dataset.states import States
+from cophy.dataset.states import States, stable_frames
 from cophy.errors import CophyError
 from cophy.oracles.posterior import Hypotheses, posterior, resample
 from cophy.scenario import Scenario, Trajectory
@@ -97,7 +96,7 @@ class OracleForecasts(ShardSet):
         path.write_bytes(encode(stored, fields, self.attributes(shard)))
         return {"simulations": simulator.num_simulations}
 
-    def num_made(self, shard: int) -> int:
+    def num_steps(self, shard: int) -> int:
         return len(self._rows(shard))
 
     def fields(self, shard: int) -> Fields:

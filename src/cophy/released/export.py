@@ -16,9 +16,8 @@ from PIL import ImageColor
 from cophy.atomic_files import check_space, read_plain, write_atomically
 from cophy.dataset.generation import progress_bar
 from cophy.dataset.images import Images
-from cophy.dataset.replay import do_operation_of
 from cophy.dataset.splits import SPLITS, Part
-from cophy.dataset.states import States
+from cophy.dataset.states import States, do_operation_of
 from cophy.errors import CophyError
 from cophy.released.formats import SEQUENCES, TASKS, ReleasedTask
 from cophy.scenario import Remove, Scenario, Shape
@@ -214,20 +213,18 @@ def _claim(folder: Path, states: States, images: Images | None, splits: Path, li
 
 def _read_images(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
     """Yield each row with RGB, segmentation and boxes of AB and CD, shard by shard."""
-    source = images.or_more()
+    source = images.best_available()
     source.finished_checksums()
-    with progress_bar(f"export of {images.states.title}", len(rows)) as advance_to:
-        done = 0
+    with progress_bar(f"export of {images.states.title}", len(rows)) as bar:
         for shard in range(images.spec.num_shards):
             within = images.spec.experiments_of_shard(shard)
             wanted = [row for row in rows if row in within]
             if not wanted:
                 continue
-            with source.explained(shard), source.opened(source.path(shard), shard) as stored:
+            with source.explained(shard), source.opened(shard) as stored:
                 for row in wanted:
                     yield row, {name: stored[name][row - within.start] for name in (*NEEDED_MODALITIES, "boxes")}
-                    done += 1
-                    advance_to(done)
+                    bar.update()
 
 
 def _write_folder(path: Path, experiment: _Experiment) -> None:

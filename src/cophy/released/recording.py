@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from cophy.dataset.fields import CONFOUNDERS_OF_OBJECTS
+from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS
 from cophy.scenario import Scenario
 from cophy.scenario.confounders import ConfounderGrid
 

@@ -13,13 +13,12 @@ import numpy as np
 
 from cophy.atomic_files import write_atomically
 from cophy.dataset import generation
-from cophy.dataset.experiment_set import ALL, Clip, ExperimentSet, NeededFrames, Pictures, Reader
-from cophy.dataset.features import Arrays
-from cophy.dataset.fields import scene_fields
-from cophy.dataset.shards import Field, Fields, empty_arrays, encode
+from cophy.dataset.experiment_set import ALL_FRAMES, Clip, ExperimentSet, NeededFrames, Pictures, Reader
+from cophy.dataset.shards import Arrays, Field, Fields, empty_arrays, encode
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import SPLITS, Split
+from cophy.dataset.states import scene_fields
 from cophy.errors import CophyError
 from cophy.released.formats import FORMATS, SEQUENCES
 from cophy.released.recording import BrokenExperimentError, to_row
@@ -70,7 +69,7 @@ class ReleasedStates(ExperimentSet):
         lists = ", ".join(map(str, self.lists.paths))
         return f"its lists of ids are {lists}; what could not be read is named in {self.directory}"
 
-    def frames(self, render: RenderSettings, needed: NeededFrames = ALL) -> "ReleasedClips":
+    def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> "ReleasedClips":
         return ReleasedClips(self)
 
     def unseen_by(
@@ -184,7 +183,7 @@ class ReleasedClips:
     """RGB frames of released experiments. All clips are used, because the id lists decide what is tested."""
 
     name = "rgb.mp4"
-    needed = ALL
+    needed = ALL_FRAMES
 
     def __init__(self, states: ReleasedStates) -> None:
         self.states, self.spec = states, states.spec

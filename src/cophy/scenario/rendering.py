@@ -147,7 +147,7 @@ def _colored(blend: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray
     return cv2.merge([cv2.LUT(index, channel) for channel in palette.T.copy()])
 
 
-# Images depend on these constants: increase FORMAT_VERSION in dataset/images.py with them.
+# Images depend on these constants: increase IMAGE_FORMAT in dataset/images.py with them.
 FLOOR_HALF_WIDTH_M = 24.0  # the backdrop is beyond
 VISIBLE_WALL_M = 0.4  # walls are drawn low, so that the near one hides nothing
 WALL_COLOR = (0.8, 0.8, 0.8, 1.0)

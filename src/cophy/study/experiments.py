@@ -1,9 +1,6 @@
 """The experiments of a study, where objects are in its images, and the files that browsers show: images of C, clips of AB."""
 
 import json
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +18,7 @@ from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import Renderer
 from cophy.study.plan import SETTINGS, StudySettings, StudyTask, plan_tasks, practice_tasks, select_pairs
-from cophy.workers import begin_worker, ending_workers
+from cophy.workers import worker_pool
 
 AB, CD = 0, 1  # index of the sequence in arrays
 IMAGE, CLIP = "c.png", "ab.webm"  # ends of file names
@@ -163,17 +160,10 @@ class StudyExperiments:
         with (
             without_leftovers(self.image_directory),
             tqdm(total=len(missing), desc="images of C, clips of AB") as bar,
-            ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), begin_worker) as pool,
-            ending_workers(),
+            worker_pool(workers) as pool,
         ):
-            try:
-                for num_drawn in pool.map(draw, arrays, stems):
-                    bar.update(num_drawn)
-            except BrokenProcessPool as error:
-                raise CophyError(
-                    "a worker process was killed, possibly because the memory was full: run the same command with fewer "
-                    "workers= to continue"
-                ) from error
+            for num_drawn in pool.map(draw, arrays, stems):
+                bar.update(num_drawn)
 
 
 def _draw(scenario: Scenario, resolution: int, arrays: dict[str, np.ndarray], stems: list[Path]) -> int:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from cophy.dataset.datamodules import ALONE, Share
+from cophy.dataset.datamodules import ONE_DEVICE, DeviceShare
 from cophy.scenario import Scenario
 from cophy.training.settings import Augmentation
 from cophy.types import HORIZONTAL, POSE_ANGLES, Batch
@@ -20,7 +20,9 @@ def matrices_of(scenario: Scenario, augmentation: Augmentation) -> np.ndarray:
     return scenario.symmetries()[: None if augmentation is Augmentation.symmetries else 1]
 
 
-def augment(batch: Batch, matrices: Float[Tensor, "matrix 2 2"], draw: tuple[int, ...], share: Share = ALONE) -> Batch:
+def augment(
+    batch: Batch, matrices: Float[Tensor, "matrix 2 2"], draw: tuple[int, ...], share: DeviceShare = ONE_DEVICE
+) -> Batch:
     """Apply a random matrix to each experiment.
 
     Args:
@@ -46,7 +48,7 @@ def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:
     return Batch(turned, truth)
 
 
-def add_position_noise(batch: Batch, max_std: float, draw: tuple[int, ...], share: Share = ALONE) -> Batch:
+def add_position_noise(batch: Batch, max_std: float, draw: tuple[int, ...], share: DeviceShare = ONE_DEVICE) -> Batch:
     """Add Gaussian noise to the positions of AB and C, independently per coordinate; D, presence and stability stay true.
 
     Args:

@@ -10,7 +10,7 @@ from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
 from torch import Tensor, nn
 from torchmetrics import MetricCollection
 
-from cophy.dataset.datamodules import CounterfactualDataModule, Share
+from cophy.dataset.datamodules import CounterfactualDataModule, DeviceShare
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.training.augmentation import add_position_noise, augment, matrices_of
@@ -153,7 +153,7 @@ class PredictionModule(L.LightningModule):
         return place_missed(prediction, batch, self.missed_position)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        draw, share = (self.seed, self.current_epoch, batch_idx), Share.of(self.trainer)
+        draw, share = (self.seed, self.current_epoch, batch_idx), DeviceShare.of(self.trainer)
         noise = self.training_settings.position_noise
         with torch.autocast(self.device.type, enabled=False):  # positions keep their precision in mixed training
             batch = augment(batch, self.augmentations, draw, share)

@@ -16,7 +16,7 @@ from torch import Tensor
 from cophy.dataset import generation
 from cophy.dataset.estimates import Estimates
 from cophy.dataset.experiment_set import ExperimentSet, NeededFrames
-from cophy.dataset.features import DeclaredInputs, estimated_inputs, true_inputs
+from cophy.dataset.features import declared_inputs, estimated_inputs, not_derendered, reduce_to_frames, true_inputs
 from cophy.dataset.frames import to_image
 from cophy.dataset.images import Images
 from cophy.dataset.shards import ShardSet
@@ -165,11 +165,11 @@ class TrainedPredictor:
             raise CophyError(
                 f"predictor={source} is a checkpoint of {target}: only predictors of cophy.models are loaded"
             )
-        declared = DeclaredInputs.of(model)
-        if declared.confounders:
+        declared = declared_inputs(model)
+        if "confounders" in declared:
             raise CophyError(f"predictor={source} needs the true confounders, which no image shows")
-        if declared.not_derendered:
-            raise CophyError(f"predictor={source} has {declared.not_derendered}, which no de-renderer estimates")
+        if keys := not_derendered(declared):
+            raise CophyError(f"predictor={source} has {keys}, which no de-renderer estimates")
         name = origin["scenario"]["name"]
         if name not in scenarios:
             raise CophyError(f"predictor={source} was trained on the scenario {name}, which does not exist here")
@@ -190,7 +190,8 @@ class TrainedPredictor:
         Returns:
             Positions in the frames after C, metres; zero in slots that are empty in C.
         """
-        inputs = true_inputs(experiments["states"].numpy(), experiments["presence"].numpy(), self.scenario)
+        arrays = {name: experiments[name].numpy() for name in ("states", "presence")}
+        inputs = true_inputs(reduce_to_frames(arrays, self.scenario))
         with torch.no_grad():
             return self.network(inputs).position * inputs.presence[:, None, :, None]
 
@@ -308,7 +309,7 @@ def derender(
             estimates.ensure(workers=workers)
         else:
             frames = estimates.frames
-            for shards in (experiments, frames.or_more() if isinstance(frames, Images) else frames):
+            for shards in (experiments, frames.best_available() if isinstance(frames, Images) else frames):
                 if isinstance(shards, ShardSet) and not shards.is_finished():
                     raise CophyError(
                         f"{shards.directory} is not finished, which every part needs: run `{shards.command}`"

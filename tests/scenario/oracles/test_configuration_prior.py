@@ -3,8 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.dataset.replay import do_operation_of, scene_of
-from cophy.dataset.states import States
+from cophy.dataset.states import States, do_operation_of, scene_of
 from cophy.oracles.priors import configuration_prior
 from cophy.scenario import Blocktower, Scene
 from cophy.scenario.statics import Combinations

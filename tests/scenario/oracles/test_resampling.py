@@ -5,7 +5,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from cophy.dataset.replay import do_operation_of, scene_of
+from cophy.dataset.states import do_operation_of, scene_of
 from cophy.errors import CophyError
 from cophy.oracles import posterior
 from cophy.oracles.posterior import resample

@@ -1,32 +1,90 @@
-"""Experiments as predictors are fed them."""
+"""Batches of experiments: their order, their content, and how devices share them."""
 
+from itertools import chain
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from torch.utils.data import TensorDataset
 
 from cophy.config import settings
 from cophy.dataset import generation
-from cophy.dataset.datamodules import CounterfactualDataModule
+from cophy.dataset.datamodules import (
+    ONE_DEVICE,
+    CounterfactualDataModule,
+    CounterfactualDataset,
+    DeviceShare,
+    EpochBatches,
+    in_order,
+    shuffled,
+)
 from cophy.dataset.estimates import Estimates
-from cophy.dataset.features import DeclaredInputs, to_batch
+from cophy.dataset.features import to_batch
 from cophy.dataset.splits import SPLITS
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.types import CONFOUNDERS, map_tensors
 from tests.conftest import tiny_spec
-from tests.dataset.pictures.guess import Guess
+from tests.dataset.copies import SPEC, MeanColor
 
+ITEMS = TensorDataset(torch.arange(22))
+SPLIT = settings("train", "scenario=collision").split
 OPTIONAL = ("confounders", "object_type", "pose")
 
 
-def fed(
-    data_dir: Path, declared: DeclaredInputs | None = None, num_experiments: int | None = None
-) -> CounterfactualDataModule:
-    states = States(tiny_spec("collision"), data_dir)
-    split = settings("train", "scenario=collision").split
+def epoch_of(batches: EpochBatches, epoch: int) -> list[list[int]]:
+    batches.set_epoch(epoch)
+    return list(batches)
+
+
+def test_an_epoch_has_an_order_of_its_own_that_comes_again() -> None:
+    first, again = (epoch_of(shuffled(ITEMS, 8, seed=1, share=ONE_DEVICE), 3) for _ in range(2))
+    assert first == again
+    assert sorted(chain(*first)) == list(range(22))
+    assert [len(batch) for batch in first] == [8, 8, 6]
+    assert epoch_of(shuffled(ITEMS, 8, seed=1, share=ONE_DEVICE), 4) != first
+    assert epoch_of(shuffled(ITEMS, 8, seed=2, share=ONE_DEVICE), 3) != first
+
+
+def test_devices_share_the_batches_of_one() -> None:
+    whole = epoch_of(shuffled(ITEMS, 8, seed=1, share=ONE_DEVICE), 2)
+    shares = [epoch_of(shuffled(ITEMS, 8, seed=1, share=DeviceShare(2, rank)), 2) for rank in range(2)]
+    assert [[batch[rank::2] for batch in whole] for rank in range(2)] == shares
+    with pytest.raises(CophyError, match="cannot be shared by 3 devices"):
+        shuffled(ITEMS, 8, seed=1, share=DeviceShare(3, 0))
+
+
+@pytest.mark.parametrize("devices", [1, 2, 3, 4])
+@pytest.mark.parametrize("groups", [np.repeat(np.arange(11), 2), np.arange(22), np.repeat([3, 4, 5, 6], [2, 1, 2, 17])])
+def test_in_order_every_item_is_met_once_and_twins_together(groups: np.ndarray, devices: int) -> None:
+    shares = [in_order(groups, 4, DeviceShare(devices, rank)) for rank in range(devices)]
+    batches = list(chain(*shares))
+    assert list(chain(*batches)) == list(range(22))
+    assert all(batches)
+    assert len({len(share) for share in shares}) == 1  # devices wait for each other at every batch
+    met = [set(groups[batch].tolist()) for batch in batches]
+    assert not [one & other for n, one in enumerate(met) for other in met[n + 1 :] if one & other]
+
+
+def test_fewer_groups_than_devices_are_refused() -> None:
+    with pytest.raises(CophyError, match="cannot be shared by 3 devices"):
+        in_order(np.repeat([0, 1], 2), 4, DeviceShare(3, 0))
+
+
+def test_a_loader_visits_every_experiment_once(tiny) -> None:
+    spec, arrays = tiny
+    data = CounterfactualDataset(to_batch(arrays, spec.scenario))
+    batches = list(data.shuffled(16))
+    assert [len(batch) for batch in batches] == [16, 16, 16]
+    sums = torch.cat([batch.targets.position for batch in batches]).flatten(1).sum(dim=1)
+    torch.testing.assert_close(sums.sort().values, data.batch.targets.position.flatten(1).sum(dim=1).sort().values)
+
+
+def fed(data_dir: Path, declared: tuple[str, ...] = (), num_experiments: int | None = None) -> CounterfactualDataModule:
+    states = States(SPEC, data_dir)
     data = CounterfactualDataModule(
-        split,
+        SPLIT,
         train_set=states,
         test_set=states,
         batch_size=8,
@@ -53,7 +111,7 @@ def test_a_split_is_made_of_what_is_stored_although_states_between_frames_are_dr
 @pytest.mark.parametrize("name", [None, *OPTIONAL])
 def test_a_network_is_given_what_its_configuration_declares_and_nothing_else(name: str | None, tiny_data: Path) -> None:
     """The true confounders above all: elsewhere they are not in what it gets."""
-    data = fed(tiny_data, None if name is None else DeclaredInputs(**{name: True}))
+    data = fed(tiny_data, () if name is None else (name,))
     for loader in (data.train_dataloader(), data.val_dataloader(), data.test_dataloader()):
         for batch in loader:
             assert [each for each in OPTIONAL if getattr(batch.inputs, each) is not None] == ([name] if name else [])
@@ -61,7 +119,7 @@ def test_a_network_is_given_what_its_configuration_declares_and_nothing_else(nam
 
 def test_looks_are_those_of_the_experiment_that_they_come_with(tiny_data: Path) -> None:
     """Types, poses and the confounders agree about which objects are cylinders."""
-    data = fed(tiny_data, DeclaredInputs(confounders=True, object_type=True, pose=True))
+    data = fed(tiny_data, OPTIONAL)
     inputs = data.train.batch.inputs
     assert (inputs.object_type.sum(dim=-1) == inputs.observed_presence).all()
     cylinder = inputs.object_type[..., 2] == 1
@@ -87,10 +145,10 @@ def test_no_frames_are_drawn_that_nobody_sees(
     estimated: list[str], looked_at: dict[int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of towers of four only the test experiments are read."""
-    asked: dict[int, str] = {}
+    requested: dict[int, str] = {}
     monkeypatch.setattr(generation, "ensure", lambda states, workers: None)
     monkeypatch.setattr(
-        Estimates, "ensure", lambda self, workers: asked.update({self.spec.num_objects: self.needed.name})
+        Estimates, "ensure", lambda self, workers: requested.update({self.spec.num_objects: self.needed.name})
     )
     CounterfactualDataModule(
         settings("train", "split=3to4").split,
@@ -98,7 +156,7 @@ def test_no_frames_are_drawn_that_nobody_sees(
         test_set=States(tiny_spec("blocktower", 4), tmp_path),
         batch_size=8,
         workers=1,
-        derenderer=Guess(),
+        derenderer=MeanColor(),
         estimated=estimated,
     ).prepare_data()
-    assert asked == looked_at
+    assert requested == looked_at

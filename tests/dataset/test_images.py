@@ -1,4 +1,4 @@
-"""Pictures on disk: lossless, resumable, and of the states beside them."""
+"""Images on disk: lossless, resumable, of the states next to them, and no more than needed."""
 
 import os
 import signal
@@ -7,66 +7,50 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
 from cophy.dataset import generation
-from cophy.dataset.frames import FrameDataset
+from cophy.dataset.experiment_set import ALL_FRAMES, INPUTS, TEST_INPUTS, NeededFrames
 from cophy.dataset.images import Images, bounding_boxes
 from cophy.drawing.sheets import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario.rendering import MODALITIES, NO_OBJECT, Backend, Frames, Renderer
 from tests.conftest import ROOT
-from tests.dataset.copies import SPEC, digests
-from tests.dataset.pictures.rendered import RENDER, copy_images, images
+from tests.dataset.copies import IMAGE_SPEC, RENDER, copy_images, digests, empty, images
+from tests.dataset.test_experiment_set import SINGLE, TEST
+
+pytestmark = pytest.mark.usefixtures("in_process")
 
 
 def test_what_is_stored_is_what_was_drawn(rendered: Images) -> None:
     arrays = rendered.states.load()
-    with Renderer(SPEC.scenario, RENDER.resolution) as renderer, h5py.File(rendered.path(1), "r") as file:
-        for experiment, sequence in ((24, 0), (31, 1)):
+    with Renderer(IMAGE_SPEC.scenario, RENDER.resolution) as renderer, h5py.File(rendered.path(1), "r") as file:
+        for experiment, sequence in ((6, 0), (9, 1)):
             drawn = render_sequence(renderer, arrays, experiment, sequence, slice(None))
             for name in MODALITIES:
-                np.testing.assert_array_equal(file[name][experiment - 24, sequence], getattr(drawn, name))
+                np.testing.assert_array_equal(file[name][experiment - 6, sequence], getattr(drawn, name))
 
 
 def start_rendering(data_dir: Path) -> "subprocess.Popen[bytes]":
     command = [sys.executable, str(ROOT / "src" / "generate.py"), "scenario=collision", "size=tiny", "workers=2"]
+    command += ["size.experiments_per_shard=6", 'size.num_experiments.collision={"2": 12}']
     command += [f"data_dir={data_dir}", "render=all", f"render.resolution={RENDER.resolution}"]
     return subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-
-
-def empty(copied: Images) -> None:
-    for path in copied.directory.iterdir():
-        path.unlink()
-
-
-def test_a_killed_rendering_continues_to_the_same_bytes(rendered: Images, tmp_path: Path) -> None:
-    copied = copy_images(rendered, tmp_path)
-    empty(copied)
-    process = start_rendering(tmp_path)
-    while not any(copied.path(shard).exists() for shard in range(SPEC.num_shards)):
-        assert process.poll() is None, "rendering ended before it could be killed"
-        time.sleep(0.02)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    generation.make(copied, workers=2)
-    assert digests(copied.directory) == digests(rendered.directory)
 
 
 @pytest.mark.slow
 def test_ten_kills_at_random_moments_change_no_byte(rendered: Images, tmp_path: Path) -> None:
     copied, rng = copy_images(rendered, tmp_path), np.random.default_rng(0)
-    empty(copied)
+    empty(copied.directory)
     for _ in range(10):
         process = start_rendering(tmp_path)
         time.sleep(rng.uniform(0.5, 6.0))
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
-        for shard in range(SPEC.num_shards):
+        for shard in range(IMAGE_SPEC.num_shards):
             if copied.path(shard).exists() and rng.random() < 0.5:
                 copied.path(shard).unlink()  # so that there is always something left to do
     generation.make(copied, workers=2)
@@ -111,16 +95,7 @@ def test_pictures_of_other_states_are_drawn_again(
     with h5py.File(copied.path(0), "r+") as file:
         file.attrs["states_sha256"] = "0" * 64
     generation.make(copied, workers=1)
-    assert "shard-00000.h5 is damaged (it was made from other files" in caplog.text
-
-
-def test_pictures_of_other_states_are_not_read(rendered: Images, tmp_path: Path) -> None:
-    copied = copy_images(rendered, tmp_path)
-    with h5py.File(copied.path(0), "r+") as file:
-        file.attrs["states_sha256"] = "0" * 64
-    frames = FrameDataset([(copied, copied.states.load())], split="train", resolution=16)
-    with pytest.raises(CophyError, match=r"shard-00000\.h5 is damaged \(it was made from other files"):
-        frames[0]
+    assert "shard-00000.h5 is damaged (it is of other data: its states_sha256" in caplog.text
 
 
 def test_rgb_that_another_set_holds_is_not_rendered_again(rendered: Images, tmp_path: Path) -> None:
@@ -132,34 +107,31 @@ def test_rgb_that_another_set_holds_is_not_rendered_again(rendered: Images, tmp_
     arrays = copied.states.load()
     read, pictures = rgb.reader(arrays), rgb.pictures(arrays, ["rgb"])
     clips = {(row, sequence): clip for row, sequence, _, clip in rgb.sequences(1)}
-    found = {(row, sequence): pictures(24 + row)["rgb"][sequence] for row, sequence in clips}
-    frame = read(30, 1, 7)
+    found = {(row, sequence): pictures(6 + row)["rgb"][sequence] for row, sequence in clips}
+    frame = read(9, 1, 7)
 
     generation.make(rgb, workers=2)
-    assert rgb.or_more() is rgb
+    assert rgb.best_available() is rgb
     with h5py.File(rgb.path(1), "r") as file:
         assert set(file) == {"rgb", "boxes"}
-        np.testing.assert_array_equal(frame, file["rgb"][6, 1, 7])
+        np.testing.assert_array_equal(frame, file["rgb"][3, 1, 7])
         for (row, sequence), clip in clips.items():
             np.testing.assert_array_equal(clip, file["rgb"][row, sequence])
             np.testing.assert_array_equal(found[row, sequence], clip)
 
 
-@pytest.mark.parametrize("changes", [{"resolution": 20}, {"backend": Backend.egl}])
-def test_pictures_of_another_size_or_renderer_are_no_substitute(
-    rendered: Images, tmp_path: Path, changes: dict[str, Any]
-) -> None:
-    copied = copy_images(rendered, tmp_path)
-    other = copied.states.frames(replace(RENDER, modalities=["rgb"], **changes))
-    assert other.or_more() is other
+def test_images_of_another_size_or_renderer_are_no_substitute(rendered: Images) -> None:
+    for changes in ({"resolution": 20}, {"backend": Backend.egl}):
+        other = rendered.states.frames(replace(RENDER, modalities=["rgb"], **changes))
+        assert other.best_available() is other
 
 
 def test_a_set_with_fewer_modalities_is_no_substitute(rendered: Images, tmp_path: Path) -> None:
     few = images(tmp_path).states.frames(replace(RENDER, modalities=["rgb", "depth"]))
     copied = copy_images(rendered, tmp_path)
-    assert few.or_more().directory == copied.directory
+    assert few.best_available().directory == copied.directory
     copied.directory.joinpath("manifest.json").unlink()
-    assert few.or_more() is few
+    assert few.best_available() is few
 
 
 def test_boxes_enclose_what_is_seen_of_each_object() -> None:
@@ -168,3 +140,60 @@ def test_boxes_enclose_what_is_seen_of_each_object() -> None:
     segmentation[0, 5, 5] = 2
     boxes = bounding_boxes(Frames(np.zeros(0), np.zeros(0), segmentation), 3)
     np.testing.assert_array_equal(boxes[0], [[2, 1, 4, 2], [-1, -1, -1, -1], [5, 5, 5, 5]])
+
+
+def only(finished: Images, data_dir: Path, needed: NeededFrames) -> Images:
+    """The same pictures, of some frames, of the same states; not drawn yet."""
+    copied = copy_images(finished, data_dir)
+    empty(copied.directory)
+    return copied.states.frames(RENDER, needed)
+
+
+@pytest.mark.parametrize("needed", [INPUTS, TEST_INPUTS, SINGLE], ids=lambda needed: needed.name)
+def test_some_frames_are_drawn_as_all_are(rendered: Images, tmp_path: Path, needed: NeededFrames) -> None:
+    few = only(rendered, tmp_path, needed)
+    generation.make(few, workers=2)
+    arrays = few.states.load()
+    drawn = needed.mask(arrays["split"], 0, 15)
+    read = few.load()
+    assert few.directory.name.startswith(rendered.directory.name)
+    np.testing.assert_array_equal(read["drawn"], drawn)
+    for name, everything in rendered.load().items():
+        np.testing.assert_array_equal(read[name][drawn], everything[drawn])
+        assert (read[name][~drawn] == (-1 if name == "boxes" else 0)).all()
+    if needed is not SINGLE:
+        return
+    assert sum(few.path(shard).stat().st_size for shard in (0, 1)) < 0.25 * sum(
+        rendered.path(shard).stat().st_size for shard in (0, 1)
+    )
+
+
+def test_a_frame_that_was_not_drawn_is_not_read(rendered: Images, tmp_path: Path) -> None:
+    few = only(rendered, tmp_path, SINGLE)
+    generation.make(few, workers=1)
+    read = few.reader(few.states.load())
+    with h5py.File(rendered.path(1)) as file:
+        np.testing.assert_array_equal(read(7, 1, 7), file["rgb"][1, 1, 7])
+    with pytest.raises(ValueError, match="frame 9 of sequence 1 was not requested"):
+        read(7, 1, 9)
+
+
+def test_frames_that_a_wider_set_holds_are_not_drawn_again(rendered: Images, tmp_path: Path) -> None:
+    copied = copy_images(rendered, tmp_path)
+    few = copied.states.frames(RENDER, TEST_INPUTS)
+    few.ensure(workers=1)
+    assert not few.directory.exists()
+    assert few.best_available().directory == copied.directory
+    arrays = copied.states.load()
+    tested = set(np.flatnonzero(arrays["split"][6:] == TEST).tolist())
+    seen = {(row, sequence): times.tolist() for row, sequence, times, _ in few.sequences(1)}
+    assert seen == {(row, sequence): [[*range(15)], [0]][sequence] for row in tested for sequence in (0, 1)}
+
+
+def test_a_narrower_set_is_no_substitute(rendered: Images, tmp_path: Path) -> None:
+    few = only(rendered, tmp_path, TEST_INPUTS)
+    generation.make(few, workers=1)
+    for needed in (INPUTS, ALL_FRAMES, SINGLE):
+        wanted = few.states.frames(RENDER, needed)
+        assert wanted.best_available() is not few
+        assert not wanted.best_available().is_finished()

@@ -1,12 +1,31 @@
-"""What follows from stored states, worked out by hand."""
+"""Generated experiments as arrays."""
+
+from pathlib import Path
 
 import numpy as np
+import pytest
 
-from cophy.dataset.features import further_than_twin, stable_frames, stands, visible_axis
+from cophy.dataset.shards import encode
+from cophy.dataset.states import States, stable_frames, visible_axis
 from cophy.scenario import Shape
+from tests.dataset.copies import SPEC
 
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 QUARTER = np.sqrt(0.5)
+
+
+@pytest.fixture
+def states(tiny_data: Path) -> States:
+    return States(SPEC, tiny_data)
+
+
+def test_a_shard_that_is_read_encodes_to_the_same_bytes(states: States) -> None:
+    assert encode(states.read(0), states.fields(0), states.attributes(0)) == states.path(0).read_bytes()
+
+
+def test_shards_are_concatenated_in_order(states: States) -> None:
+    arrays = states.load()
+    assert arrays["twin"].tolist() == np.repeat(np.arange(SPEC.num_experiments // 2), 2).tolist()
 
 
 def test_axes_are_those_that_pictures_show() -> None:
@@ -22,19 +41,3 @@ def test_an_object_is_stable_in_a_frame_if_it_was_slow_since_the_frame_before() 
     states[0, [0, 5], 0, 8] = 2.0  # fast in the first state, which counts for no frame, and between frames 1 and 2
     assert stable_frames(states, stride=3, stable_speed=1.0).shape == (1, 2, 1)
     assert stable_frames(states, stride=3, stable_speed=1.0)[0, :, 0].tolist() == [True, False]
-
-
-def two_twins(moved_m: float) -> dict[str, np.ndarray]:
-    """Of one object, which moves in the second twin's CD alone."""
-    states = np.zeros((2, 2, 3, 1, 13))
-    states[1, 1, 1:, 0, 0] = moved_m
-    return {"states": states, "presence": np.ones((2, 2, 1), dtype=bool), "twin": np.array([0, 0])}
-
-
-def test_a_tower_stands_while_no_block_leaves_its_place() -> None:
-    assert stands(two_twins(0.09), fallen_distance=0.1).tolist() == [[True, True], [True, True]]
-    assert stands(two_twins(0.11), fallen_distance=0.1).tolist() == [[True, True], [True, False]]
-
-
-def test_objects_go_further_than_under_the_confounders_of_the_twin() -> None:
-    assert further_than_twin(two_twins(1.0)).tolist() == [[False, False], [False, True]]
