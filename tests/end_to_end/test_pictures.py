@@ -29,7 +29,7 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
 
     derender = ("derender", "scenario=collision", "size=tiny", f"data_dir={tiny_data}", f"outputs={tmp_path}")
     said = run(*derender)
-    assert "48 experiments, 2 shards, all whole" in said
+    assert "all 48 experiments in 2 shards" in said
     (estimates,) = tiny_data.rglob(f"derendered-{TrainedDerenderer(row / 'checkpoints' / 'best.ckpt').name}")
     whole = {path.name: path.read_bytes() for path in estimates.iterdir() if path.suffix in (".h5", ".json")}
     shutil.rmtree(estimates)

@@ -102,7 +102,7 @@ def test_oracles_are_asked_about_the_first_test_experiments(forecasts, tmp_path:
     generation.ensure(few, workers=1)
     for name, array in few.load().items():
         np.testing.assert_array_equal(array, every.load()[name][:2])
-    asked = [few.num_made(shard) for shard in range(few.spec.num_shards)]
+    asked = [few.num_steps(shard) for shard in range(few.spec.num_shards)]
     assert sum(asked) == 2  # so progress counts towards 2, not towards all experiments
     done: list[int] = []
     few.write(tmp_path / "again.h5", asked.index(2), done.append)
