@@ -75,7 +75,7 @@ def experiments(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> St
     states, split = States(tiny_spec("blocktower"), tiny_data), settings("study").split
     study = StudyExperiments(states, split, SMALL, tmp_path_factory.mktemp("study"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiments_module, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
+        patch.setattr(experiments_module, "worker_pool", lambda workers: ThreadPoolExecutor(1))
         study.draw_missing(workers=1)
     return study
 
