@@ -88,14 +88,14 @@ def collisions(tiny_data: Path) -> States:
 
 def imported(name: str, root: Path, split: str | None = None) -> dict[str, np.ndarray]:
     """The export read back, with the grid that it was generated with."""
-    config = settings("train", f"scenario={name}").scenario.confounders
-    grid = [f"scenario.confounders.{key}={[float(v) for v in getattr(config, key)]}" for key in GRID]
-    chosen = settings("train", "source=cophy", f"scenario={name}", *grid, *([f"split={split}"] if split else []))
+    confounders = settings("train", f"scenario={name}").scenario.confounders
+    grid = [f"scenario.confounders.{key}={[float(v) for v in getattr(confounders, key)]}" for key in GRID]
+    config = settings("train", "source=cophy", f"scenario={name}", *grid, *([f"split={split}"] if split else []))
     (experiments,) = ReleasedSource("cophy", "", str(root)).experiment_sets(
-        chosen.scenario,
-        chosen.split,
+        config.scenario,
+        config.split,
         [SCENARIOS[name]],
-        size=chosen.size,
+        size=config.size,
         data_seed=0,
         data_dir=root.with_name(f"{root.name}-index"),
     )
@@ -119,9 +119,9 @@ def test_an_export_reads_back_unchanged(name: str, drawn: Any, exported: Any) ->
 @pytest.mark.parametrize(("name", "split"), [("blocktower", "3to3_unseen"), ("collision", "sphere_to_cylinder")])
 def test_lists_of_unseen_experiments_read_back(name: str, split: str, drawn: Any, exported: Any) -> None:
     original, back = drawn(name).states.load(), imported(name, exported(name), split)
-    chosen = settings("train", f"scenario={name}", f"split={split}").split
+    halves = settings("train", f"scenario={name}", f"split={split}").split
     is_test = original["split"] == 2
-    expected = np.where(is_test, chosen.test.select(original), chosen.train.select(original))
+    expected = np.where(is_test, halves.test.select(original), halves.train.select(original))
     np.testing.assert_array_equal(back["experiment"], np.flatnonzero(expected))
     np.testing.assert_array_equal(back["split"], original["split"][expected])
 

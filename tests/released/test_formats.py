@@ -163,7 +163,7 @@ def slots_of(directory: Path, scenario: str) -> list[int]:
 @pytest.mark.parametrize(
     "text", ["__import__('os').mkdir('x')", "['red', 'red']", "[[1]]", "['pink']", "[" * 500, "{[]: 1}"]
 )
-def test_colors_are_read_as_a_literal(tmp_path: Path, text: str) -> None:
+def test_invalid_colors_break_only_their_experiment(tmp_path: Path, text: str) -> None:
     root = tmp_path / "CoPhy_112"
     filtered_tree(root, "ballsCF", list("0123"), clips=False)
     for part, ids in LISTS.items():

@@ -65,11 +65,13 @@ class CoPhyTree:
         ab = states_of(starts, velocity, times)
         moved = starts.copy()
         moved[0, 1] += 0.25
-        kept = num_blocks - int(name) % 2
-        cd = states_of(moved if kept == num_blocks else starts, velocity, times)[:, :kept]
+        remaining = num_blocks - int(name) % 2
+        cd = states_of(moved if remaining == num_blocks else starts, velocity, times)[:, :remaining]
         header = "from bottom to top\n"
-        colors = tuple(header + "".join(f"color={TOWER_COLORS[s]}\n" for s in part) for part in (order, order[:kept]))
-        self.sequences(directory, padded(ab, order, 4), padded(cd, order[:kept], 4), colors=(colors[0], colors[1]))
+        colors = tuple(
+            header + "".join(f"color={TOWER_COLORS[s]}\n" for s in part) for part in (order, order[:remaining])
+        )
+        self.sequences(directory, padded(ab, order, 4), padded(cd, order[:remaining], 4), colors=(colors[0], colors[1]))
         confounders = np.zeros((4, 2))
         confounders[order] = np.column_stack(
             [self.rng.choice([1, 10], num_blocks), self.rng.choice([0.5, 1], num_blocks)]

@@ -16,7 +16,7 @@ from cophy.scenario.rendering import Renderer
 from cophy.study import experiments as module
 from cophy.study.experiments import CLIP, IMAGE, StudyExperiments
 
-FRAMES = np.random.default_rng(0).integers(0, 255, size=(30, 64, 64, 3), dtype=np.uint8)
+FRAMES = np.random.default_rng(0).integers(0, 255, size=(12, 64, 64, 3), dtype=np.uint8)
 
 
 def write(path: Path) -> None:
@@ -33,8 +33,8 @@ def test_images_show_c_and_clips_show_ab(experiments: StudyExperiments) -> None:
         observed = render_sequence(renderer, experiments.arrays, experiment, 0, slice(None)).rgb
     assert (read_frames(experiments.file(experiment, IMAGE))[0] == first).all()
     video = cv2.VideoCapture(str(experiments.file(experiment, CLIP)))
-    shown = [cv2.cvtColor(video.read()[1], cv2.COLOR_BGR2RGB) for _ in observed]
-    assert np.abs(np.stack(shown).astype(int) - observed).mean() < 5
+    frames = [cv2.cvtColor(video.read()[1], cv2.COLOR_BGR2RGB) for _ in observed]
+    assert np.abs(np.stack(frames).astype(int) - observed).mean() < 5
     assert not video.read()[0]
 
 
@@ -47,7 +47,7 @@ def test_a_truncated_clip_is_removed(share: float, tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(share * size), hard))
     try:
-        with pytest.raises(CophyError, match="of 30 frames were written"):
+        with pytest.raises(CophyError, match="of 12 frames were written"):
             write(tmp_path / "1-ab.webm")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -188,7 +188,7 @@ def test_data_of_another_seed_and_grid_are_found(
         return datasets[-1]
 
     read_answers(tmp_path, dataset)
-    assert [found.id for found in datasets] == [states.id]
+    assert [each.id for each in datasets] == [states.id]
 
 
 def test_answers_are_judged_and_drawn(tiny_data: Path, tmp_path: Path, data: ComposedData) -> None:

@@ -4,7 +4,7 @@ The checks follow docs/benchmark/audit.md: states of rigid bodies, twins and spl
 bias free), effects of do-operations, first frames, and outcomes of towers (paper Fig. 3).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -196,8 +196,8 @@ def check_shares(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     scenario, count = spec.scenario, len(arrays["twin"])
     cells = len(scenario.blocks()[0])  # cells of the pairs that share a configuration
     yield _check_shares_of_cells(arrays, scenario)
-    kinds = dict(enumerate(scenario.do_operations))
-    yield check_equal_shares("do-operations", arrays["do_operation"], kinds, draws=count // (2 * cells))
+    kinds: dict[float, str] = dict(enumerate(scenario.do_operations))
+    yield _check_equal_shares("do-operations", arrays["do_operation"], kinds, count // (2 * cells))
     yield from check_confounder_shares(arrays, scenario, cells)
 
 
@@ -217,22 +217,20 @@ def check_confounder_shares(arrays: Arrays, scenario: Scenario, num_cells: int) 
             yield Check(f"share of {name}", "does not apply: unknown", True)
         else:
             labels = {value: f"{value:g}" for value in getattr(scenario.confounders, name)}
-            yield check_equal_shares(name, values, labels, draws=len(values) // num_cells)
+            yield _check_equal_shares(name, values, labels, len(values) // num_cells)
 
 
 def _check_shares_of_cells(arrays: Arrays, scenario: Scenario) -> Check:
     """Check that each cell has the share that it has in the scenario's blocks."""
-    names, blocks = scenario.cells(), np.concatenate(scenario.blocks())
+    names, blocks, count = scenario.cells(), np.concatenate(scenario.blocks()), len(arrays["cell"])
     expected = np.bincount(blocks, minlength=len(names)) / len(blocks)
-    shares = np.bincount(arrays["cell"], minlength=len(names)) / len(arrays["cell"])
-    allowed = [tolerance(share, len(arrays["cell"])) for share in expected]
-    result = "  ".join(f"{name} {share:.1%}" for name, share in zip(names, shares, strict=True))
-    return Check("share of cells", result, bool((np.abs(shares - expected) <= allowed).all()))
+    shares = np.bincount(arrays["cell"], minlength=len(names)) / count
+    return _compare_shares(
+        "share of cells", dict(zip(names, shares, strict=True)), expected.tolist(), [count] * len(names)
+    )
 
 
-def check_equal_shares(
-    name: str, values: np.ndarray, labels: Mapping[int, str] | Mapping[float, str], *, draws: int
-) -> Check:
+def _check_equal_shares(name: str, values: np.ndarray, labels: Mapping[float, str], draws: int) -> Check:
     """Check that each value has an equal share.
 
     Args:
@@ -242,9 +240,14 @@ def check_equal_shares(
         draws: how many of the stored values were drawn independently.
     """
     shares = {label: float(np.isclose(values, value).mean()) for value, label in labels.items()}
-    equal = 1 / len(shares)
-    passed = all(abs(share - equal) <= tolerance(equal, draws) for share in shares.values())
-    return Check(f"share of {name}", "  ".join(f"{label} {share:.1%}" for label, share in shares.items()), passed)
+    return _compare_shares(f"share of {name}", shares, [1 / len(shares)] * len(shares), [draws] * len(shares))
+
+
+def _compare_shares(name: str, shares: Mapping[str, float], expected: Sequence[float], draws: Sequence[int]) -> Check:
+    """Check that each share is near the expected one, given its number of independent draws."""
+    differences = zip(shares.values(), expected, draws, strict=True)
+    passed = all(abs(share - mean) <= tolerance(mean, count) for share, mean, count in differences)
+    return Check(name, "  ".join(f"{label} {share:.1%}" for label, share in shares.items()), passed)
 
 
 def check_cell_shapes(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
@@ -442,7 +445,6 @@ def check_stability(arrays: Arrays, standing: np.ndarray, num_objects: int) -> I
         confounders |= {f"{name} of block {level}": arrays[name][slot] for name in ("mass", "friction")}
     for name, values in confounders.items():
         if not np.isnan(values).any():
-            shares = {float(value): float(standing[values == value].mean()) for value in np.unique(values)}
-            passed = all(abs(share - 0.5) <= tolerance(0.5, (values == value).sum()) for value, share in shares.items())
-            result = "  ".join(f"{value:g}: {share:.1%}" for value, share in shares.items())
-            yield Check(f"share of CD that stand, per {name}", result, passed)
+            kinds, counts = np.unique(values, return_counts=True)
+            shares = {f"{value:g}:": float(standing[values == value].mean()) for value in kinds}
+            yield _compare_shares(f"share of CD that stand, per {name}", shares, [0.5] * len(kinds), counts.tolist())

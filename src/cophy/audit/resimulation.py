@@ -17,7 +17,7 @@ from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import do_operation_of, scene_of, to_arrays, trajectories_of
 from cophy.scenario import Scenario, Simulator
-from cophy.scenario.physics import Clock, Scene, Trajectory, trajectory_distance
+from cophy.scenario.physics import Scene, Trajectory, trajectory_distance
 from cophy.scenario.statics import Combinations
 from cophy.scenario.towers import read_tower
 
@@ -182,30 +182,17 @@ def _same_observation(
     scenario: Scenario, scene: Scene, candidates: list[int], observed: list[Trajectory], simulator: Simulator
 ) -> list[list[int]]:
     """Return the configurations under which each observed sequence looks the same; most are dropped after its beginning."""
-    for share in BEGINNINGS:
+    alike = np.ones((len(candidates), len(observed)), dtype=bool)
+    for share in (*BEGINNINGS, 1.0):
+        candidates = [c for c, near in zip(candidates, alike.any(axis=1), strict=True) if near]
         clock = replace(scenario.clock, num_frames=max(2, round(share * scenario.clock.num_frames)))
-        distance = _distances(scenario, scene, candidates, observed, clock, simulator)
+        distance = np.zeros((len(candidates), len(observed)))
+        for row, configuration in enumerate(candidates):
+            start = scenario.with_configuration(configuration, scene)
+            simulated = simulator.simulate(start, solver=scenario.solver, clock=clock, num_slots=scenario.num_slots)
+            for column, each in enumerate(observed):
+                beginning = Trajectory(each.states[: len(simulated.states)], each.presence)
+                distance[row, column] = trajectory_distance(simulated, beginning)
         part = clock.num_frames / scenario.clock.num_frames  # distances are means over time
-        nearest = (part * distance).min(axis=1).tolist()
-        candidates = [c for c, distance_m in zip(candidates, nearest, strict=True) if distance_m < ALIKE_M]
-    distance = _distances(scenario, scene, candidates, observed, scenario.clock, simulator)
-    return [[c for c, near in zip(candidates, column, strict=True) if near] for column in (distance < ALIKE_M).T]
-
-
-def _distances(
-    scenario: Scenario,
-    scene: Scene,
-    candidates: list[int],
-    observed: list[Trajectory],
-    clock: Clock,
-    simulator: Simulator,
-) -> np.ndarray:
-    """Return trajectory distances up to the end of the clock, (configuration, observed sequence), metres."""
-    distances = np.zeros((len(candidates), len(observed)))
-    for row, configuration in enumerate(candidates):
-        start = scenario.with_configuration(configuration, scene)
-        simulated = simulator.simulate(start, solver=scenario.solver, clock=clock, num_slots=scenario.num_slots)
-        for column, each in enumerate(observed):
-            beginning = Trajectory(each.states[: len(simulated.states)], each.presence)
-            distances[row, column] = trajectory_distance(simulated, beginning)
-    return distances
+        alike = part * distance < ALIKE_M
+    return [[c for c, near in zip(candidates, column, strict=True) if near] for column in alike.T]

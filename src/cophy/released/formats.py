@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cophy.dataset.fields import CONFOUNDERS_OF_OBJECTS
 from cophy.dataset.splits import Split
 from cophy.errors import CophyError
 from cophy.released.recording import BrokenExperimentError, Recording
@@ -28,25 +29,25 @@ class ReleasedTask:
 
     Attributes:
         folder: folder of the task.
+        shape: shape of all objects; None where colors.txt names the shape of each.
+        place: maps states (slot, 13) in the first frame of AB to a key (slot,) that sorts the objects into their order.
         has_counts: whether folders (in CoPhy_224) and lists of ids are named after the number of objects.
         kinds: kinds of lists that were released, see `kind_of`; names of lists contain the kind if there are several.
         max_frames: longest sequence that the released loader reads, None for any.
         confounders: columns of confounders.npy.
         has_gravity: whether gravity.txt holds a confounder; otherwise explanations.txt describes the do-operation.
         colors_header: first line of colors.txt.
-        shape: shape of all objects; None where colors.txt names the shape of each.
-        place: maps states (slot, 13) in the first frame of AB to a key (slot,) that sorts the objects into their order.
     """
 
     folder: str
-    has_counts: bool
-    kinds: tuple[str, ...]
-    max_frames: int | None
-    confounders: tuple[str, ...]
-    has_gravity: bool
-    colors_header: str
     shape: Shape | None
     place: Callable[[np.ndarray], np.ndarray]
+    has_counts: bool = True
+    kinds: tuple[str, ...] = ("normal",)
+    max_frames: int | None = None
+    confounders: tuple[str, ...] = CONFOUNDERS_OF_OBJECTS
+    has_gravity: bool = False
+    colors_header: str = ""
 
     def directory(self, root: Path, num_objects: int) -> Path:
         """Return the folder of CoPhy_224 whose subfolders are the experiments."""
@@ -60,37 +61,22 @@ class ReleasedTask:
 
 TASKS = {
     "blocktower": ReleasedTask(
-        folder="blocktowerCF",
-        has_counts=True,
+        "blocktowerCF",
+        Shape.BOX,
+        place=lambda states: states[:, 2],  # by height
         kinds=("normal", "generalization"),
-        max_frames=None,
         confounders=("mass", "friction"),
         has_gravity=True,
         colors_header="from bottom to top\n",
-        shape=Shape.BOX,
-        place=lambda states: states[:, 2],  # by height
     ),
-    "balls": ReleasedTask(
-        folder="ballsCF",
-        has_counts=True,
-        kinds=("normal",),
-        max_frames=None,
-        confounders=("mass", "friction", "restitution"),
-        has_gravity=False,
-        colors_header="",
-        shape=Shape.SPHERE,
-        place=lambda states: np.arange(len(states)),  # by slot
-    ),
+    "balls": ReleasedTask("ballsCF", Shape.SPHERE, place=lambda states: np.arange(len(states))),  # by slot
     "collision": ReleasedTask(
-        folder="collisionCF",
+        "collisionCF",
+        None,
+        place=lambda states: -np.linalg.norm(states[:, 7:10], axis=-1),  # the moving object first
         has_counts=False,
         kinds=("normal", "moving_sphere", "moving_cylinder"),
         max_frames=15,
-        confounders=("mass", "friction", "restitution"),
-        has_gravity=False,
-        colors_header="",
-        shape=None,
-        place=lambda states: -np.linalg.norm(states[:, 7:10], axis=-1),  # the moving object first
     ),
 }
 

@@ -84,21 +84,13 @@ def list_experiments(directory: Path) -> tuple[str, ...]:
     return tuple(sorted(names, key=lambda name: (not name.isdigit(), int(name) if name.isdigit() else 0, name)))
 
 
-@dataclass(frozen=True)
-class Lists:
-    """Ids of train, val and test, and the files that list them."""
-
-    ids: tuple[tuple[str, ...], ...]
-    paths: tuple[Path, ...]
-
-    @property
-    def digest(self) -> str:
-        """Eight hexadecimal digits of a hash of the ids."""
-        return hashlib.sha256(repr(self.ids).encode()).hexdigest()[:8]
-
-
-def read_lists(directories: Sequence[Path], names: Sequence[Sequence[str]]) -> Lists:
+def read_lists(
+    directories: Sequence[Path], names: Sequence[Sequence[str]]
+) -> tuple[list[Path], tuple[tuple[str, ...], ...]]:
     """Read the lists of train, val and test, each from the first file that has one of its names.
+
+    Returns:
+        The files, and the ids in each.
 
     Raises:
         CophyError: a list is missing or broken, or an id is in two of them.
@@ -119,7 +111,7 @@ def read_lists(directories: Sequence[Path], names: Sequence[Sequence[str]]) -> L
                 f"{paths[first]} and {paths[second]} share {len(shared)} ids, for example {min(shared)}: "
                 f"{SPLITS[second]} experiments must not be among those of {SPLITS[first]}"
             )
-    return Lists(ids, tuple(paths))
+    return paths, ids
 
 
 def _read_list(path: Path) -> tuple[str, ...]:

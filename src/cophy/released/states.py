@@ -1,5 +1,6 @@
 """The index of a released dataset: states, confounders and presence, read once into shards; clips are decoded when needed."""
 
+import hashlib
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +17,6 @@ from cophy.dataset import generation
 from cophy.dataset.experiment_set import ALL_FRAMES, Clip, ExperimentSet, NeededFrames, Pictures, Reader
 from cophy.dataset.shards import Arrays, Field, Fields, empty_arrays, encode
 from cophy.dataset.source import Source
-from cophy.dataset.spec import Size
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import scene_fields
 from cophy.errors import CophyError
@@ -51,7 +51,7 @@ class ReleasedStates(ExperimentSet):
         self.split, root, released_format = split, Path(source.root), FORMATS[source.name]
         folders = [root / "splits", root] if source.splits is None else [Path(source.splits)]
         names = [released_format.list_names(scenario, num_objects, split, part) for part in SPLITS]
-        self.lists = read_lists(folders, names)
+        self.list_paths, self.list_ids = read_lists(folders, names)
         directory = released_format.directory(root, scenario, num_objects)
         spec = ReleasedSpec(scenario, num_objects, released_format, directory, list_experiments(directory))
         title = f"index of {scenario.name}, {num_objects} objects"
@@ -62,19 +62,17 @@ class ReleasedStates(ExperimentSet):
     @property
     def id(self) -> str:
         """Name of the data: the index, and a hash of the lists that split it."""
-        return f"{self.spec.id}-{self.lists.digest}"
+        return f"{self.spec.id}-{hashlib.sha256(repr(self.list_ids).encode()).hexdigest()[:8]}"
 
     @property
     def remedy(self) -> str:
-        lists = ", ".join(map(str, self.lists.paths))
+        lists = ", ".join(map(str, self.list_paths))
         return f"its lists of ids are {lists}; what could not be read is named in {self.directory}"
 
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> "ReleasedClips":
         return ReleasedClips(self)
 
-    def unseen_by(
-        self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
-    ) -> bool:
+    def unseen_by(self, *, trained_on: Sequence[str], **generated: Any) -> bool:
         return self.id in trained_on
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
@@ -158,7 +156,7 @@ class ReleasedStates(ExperimentSet):
 
     def _select_listed(self, arrays: Arrays) -> Arrays:
         """Return the listed experiments, with `split` and `seen`."""
-        splits = {name: split for split, names in enumerate(self.lists.ids) for name in names}
+        splits = {name: split for split, names in enumerate(self.list_ids) for name in names}
         ids = [self.spec.ids[index] for index in arrays["experiment"]]
         if missing := len(set(splits) - set(ids)):
             log.warning("%s: %d listed experiments are broken or missing", self.spec.directory, missing)
@@ -173,7 +171,7 @@ class ReleasedStates(ExperimentSet):
         Raises:
             CophyError: a list names experiments in which another shape moves.
         """
-        for number, path in enumerate(self.lists.paths):
+        for number, path in enumerate(self.list_paths):
             part = self.split.test if SPLITS[number] == "test" else self.split.train
             if wrong := ((arrays["split"] == number) & ~part.select(arrays)).sum():
                 raise CophyError(f"{path}: in {wrong} of the listed experiments the moving object is no {part.moving}")
@@ -259,15 +257,7 @@ class ReleasedSource(Source):
     splits: str | None = None
 
     def experiment_sets(
-        self,
-        scenario: Scenario,
-        split: Split,
-        num_objects: list[int] | None,
-        *,
-        size: Size,
-        data_seed: int,
-        data_dir: Path,
-        overrides: tuple[str, ...] = (),
+        self, scenario: Scenario, split: Split, num_objects: list[int] | None, *, data_dir: Path, **generated: Any
     ) -> list[ExperimentSet]:
         split.check_scenario(scenario)
         return [ReleasedStates(self, scenario, split, count, data_dir) for count in split.counts(num_objects)]

@@ -57,7 +57,7 @@ COOKIE_AGE_S = 7 * 24 * 3600
 MAX_PLATFORM_ID = 128  # characters
 TOKEN = re.compile(r"[A-Za-z0-9_-]{43}")  # 32 bytes in Base64
 MEDIA = {"picture": (IMAGE, "image/png"), "clip": (CLIP, "video/webm")}  # last part of the URL -> file and its type
-READING_S = 10  # ours: time of a task beside the clicks: a clip of 6 s, and the way to the next task
+READING_S = 10  # ours: time of a task besides the clicks: a clip of 6 s, and the way to the next task
 
 
 class Rate:

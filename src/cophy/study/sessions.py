@@ -66,19 +66,19 @@ class Sessions:
             RefusedError: The id takes part already.
         """
         token, platform_hash = token or secrets.token_urlsafe(NUM_TOKEN_BYTES), self._platform_hash(platform_id)
-        of_study = (self.study, self.kind)
+        study_and_kind = (self.study, self.kind)
         with self.store.transaction() as db:
-            if db.execute(PARTICIPANT, (_hash(token), *of_study)).fetchone():
+            if db.execute(PARTICIPANT, (_hash(token), *study_and_kind)).fetchone():
                 return token
             same_id = "SELECT 1 FROM participants WHERE study=? AND kind=? AND platform_hash=?"
-            if platform_hash and db.execute(same_id, (*of_study, platform_hash)).fetchone():
+            if platform_hash and db.execute(same_id, (*study_and_kind, platform_hash)).fetchone():
                 raise RefusedError(409, "This id takes part already. Please continue in the browser where you began.")
-            (number,) = db.execute(FREE_NUMBER, of_study).fetchone()
+            (number,) = db.execute(FREE_NUMBER, study_and_kind).fetchone()
             code = "".join(secrets.choice(CODE_LETTERS) for _ in range(10))
             db.execute(
                 "INSERT INTO participants (study, kind, number, token_hash, platform_hash, code, consented_at) "
                 "VALUES (?, ?, ?, ?, ?, ?, ?)",
-                (*of_study, number, _hash(token), platform_hash, code, self.now()),
+                (*study_and_kind, number, _hash(token), platform_hash, code, self.now()),
             )
         return token
 
