@@ -179,9 +179,11 @@ def test_data_of_another_seed_and_grid_are_found(
     experiments: StudyExperiments, tmp_path: Path, data: ComposedData
 ) -> None:
     (states,) = generated_by(settings("generate", "size=tiny", "data_seed=1", "scenario.confounders.friction=[1]"))
-    other, datasets = copy(experiments), []
+    other = copy(experiments)
     other.states = states
     write_answers(tmp_path, other.description)
+
+    datasets: list[States] = []
 
     def dataset(*names: Any) -> States:
         datasets.append(data.dataset(*names))
