@@ -19,7 +19,7 @@ from cophy.dataset.images import Images
 from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States, do_operation_of
 from cophy.errors import CophyError
-from cophy.released.formats import SEQUENCES, TASKS, ReleasedTask
+from cophy.released.formats import SEQUENCE_FOLDERS, TASKS, ReleasedTask
 from cophy.scenario import Remove, Scenario, Shape
 from cophy.scenario.rendering import NO_OBJECT
 
@@ -74,7 +74,7 @@ class _Experiment:
 
     def write(self, directory: Path) -> None:
         """Write all files into its folder."""
-        for sequence, name in enumerate(SEQUENCES):
+        for sequence, name in enumerate(SEQUENCE_FOLDERS):
             (directory / name).mkdir()
             self._write_sequence(directory / name, sequence)
         confounders = np.stack([self.arrays[name] for name in self.task.confounders], axis=-1)

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cophy.dataset.fields import CONFOUNDERS_OF_OBJECTS
 from cophy.dataset.splits import Split
+from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS
 from cophy.errors import CophyError
 from cophy.released.recording import BrokenExperimentError, Recording
 from cophy.scenario import Scenario, Shape
 from cophy.untrusted_files import BrokenFileError, count_frames, read_array, read_text
 
-SEQUENCES = ("ab", "cd")  # folders of an experiment
+SEQUENCE_FOLDERS = ("ab", "cd")  # folders of an experiment
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def kind_of(split: Split) -> str:
 def _read_states(directory: Path, scenario: Scenario, frame_step: int) -> list[np.ndarray]:
     """Read states of AB and of CD at the scenario's frames, each (T, column, 13), as columns of states.npy."""
     sequences, length = [], scenario.clock.num_frames * frame_step
-    for name in SEQUENCES:
+    for name in SEQUENCE_FOLDERS:
         states = read_array(directory / name / "states.npy")
         if states.ndim != 3 or states.shape[2] != 13:
             raise BrokenExperimentError(f"states.npy has shape {states.shape}, not (time, object, 13)")
@@ -123,7 +123,7 @@ def _slot_of(color: str, scenario: Scenario) -> int:
 def _has_clips(directory: Path, scenario: Scenario, frame_step: int) -> list[bool]:
     """Return whether AB and CD have RGB clips. Clips of another length are refused."""
     counts, expected = [], scenario.clock.num_frames * frame_step
-    for name in SEQUENCES:
+    for name in SEQUENCE_FOLDERS:
         counts.append(count_frames(directory / name / "rgb.mp4"))
         if counts[-1] not in (0, expected):
             raise BrokenExperimentError(f"{name}/rgb.mp4 has {counts[-1]} frames, not {expected}")

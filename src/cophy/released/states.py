@@ -20,7 +20,7 @@ from cophy.dataset.source import Source
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import scene_fields
 from cophy.errors import CophyError
-from cophy.released.formats import FORMATS, SEQUENCES
+from cophy.released.formats import FORMATS, SEQUENCE_FOLDERS
 from cophy.released.recording import BrokenExperimentError, to_row
 from cophy.released.spec import ReleasedSpec, list_experiments, read_lists
 from cophy.scenario import Scenario
@@ -90,7 +90,7 @@ class ReleasedStates(ExperimentSet):
         return {}
 
     def _read_experiment(self, directory: Path) -> dict[str, Any]:
-        if any((directory / part).is_symlink() for part in SEQUENCES):
+        if any((directory / part).is_symlink() for part in SEQUENCE_FOLDERS):
             raise BrokenFileError(f"{directory} holds links in the place of ab or cd")
         if not os.listdir(directory):
             raise BrokenExperimentError(EMPTY_FOLDER)
@@ -227,7 +227,7 @@ class ReleasedClips:
 
     def _decode(self, experiment: int, sequence: int, times: range) -> Iterator[np.ndarray]:
         """Yield frames, (R, R, 3) uint8. Earlier frames are skipped one by one: a seek is not exact in every MP4."""
-        path = self.spec.directory / self.spec.ids[experiment] / SEQUENCES[sequence] / self.name
+        path = self.spec.directory / self.spec.ids[experiment] / SEQUENCE_FOLDERS[sequence] / self.name
         indices = [time * self.spec.released_format.frame_step for time in times]
         try:
             capture = open_clip(path)
