@@ -1,5 +1,7 @@
 """Shared fixtures: scenarios as configured, one simulator, and tiny data and trained runs made once per session."""
 
+import copy
+import functools
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -26,10 +28,16 @@ register(models=True)
 torch.set_num_threads(1)
 
 
+@functools.cache
+def cached_settings(command: str, *overrides: str) -> Any:
+    """Return what `cophy.config.settings` returns, composed once per process (a composition takes 0.3 s); do not change it."""
+    return settings(command, *overrides)
+
+
 @pytest.fixture(scope="session")
 def scenario_of() -> Callable[..., Scenario]:
     """A scenario as conf/ has it, with overrides."""
-    return lambda name, *overrides: settings("generate", f"scenario={name}", *overrides).scenario
+    return lambda name, *overrides: copy.deepcopy(cached_settings("generate", f"scenario={name}", *overrides).scenario)
 
 
 @pytest.fixture
@@ -63,10 +71,9 @@ def tiny_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def tiny_spec(name: str, num_objects: int | None = None, **size: Any) -> DatasetSpec:
     """The spec of a tiny dataset."""
-    chosen = settings(
-        "generate", f"scenario={name}", "size=tiny", *(f"size.{key}={value}" for key, value in size.items())
-    )
-    return DatasetSpec(chosen.scenario, num_objects or SCENARIOS[name], chosen.size, chosen.seed)
+    overrides = (f"size.{key}={value}" for key, value in size.items())
+    config = copy.deepcopy(cached_settings("generate", f"scenario={name}", "size=tiny", *overrides))
+    return DatasetSpec(config.scenario, num_objects or SCENARIOS[name], config.size, config.seed)
 
 
 @pytest.fixture(scope="session", params=SCENARIOS)

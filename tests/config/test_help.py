@@ -25,7 +25,12 @@ NAMED = {  # keys and choices that users look for
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("command", NAMED)
+QUICK = ("train", "generate", "predict")
+
+
+@pytest.mark.parametrize(
+    "command", [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in NAMED]
+)
 def test_help_is_one_screen_of_keys_with_their_meaning_from_the_yaml(
     command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -45,7 +45,8 @@ def test_a_limited_test_counts_and_compares_what_it_tested(tiny_data: Path, tmp_
     assert content["copies"]["copy_b"] == pytest.approx(content["metrics"]["mse"])
 
 
-def test_the_share_is_told_where_both_oracles_were_run(tiny_data: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_the_share_is_printed_if_both_oracles_have_runs(tiny_data: Path, tmp_path: Path) -> None:
     arguments = (*ROW, f"source.outputs={tmp_path}")
     for oracle in ("oracle_feedforward", "oracle_counterfactual"):
         train(*arguments, f"model={oracle}", data=tiny_data)
