@@ -20,9 +20,8 @@ from cophy.study.sessions import Sessions
 from tests.conftest import tiny_spec
 from tests.study.conftest import GENEROUS, SMALL, Site
 
-pytestmark = pytest.mark.slow
-
 CHROMIUM = shutil.which("chromium")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's package chromium")]
 DESKTOP, PHONE = ViewportSize(width=1280, height=800), ViewportSize(width=360, height=640)
 CENTER = 224  # of the image, where the cross of the keyboard starts
 PLACING = ".say strong"  # is there while objects can be placed
@@ -60,8 +59,6 @@ def served(large: StudyExperiments, tmp_path: Path) -> Iterator[tuple[Site, str]
 def page(request: pytest.FixtureRequest) -> Iterator[Page]:
     """A window, of a desktop or of a phone; errors of the page fail the test."""
     is_phone = getattr(request, "param", "desktop") == "phone"
-    if CHROMIUM is None:
-        pytest.skip("needs Debian's package chromium")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         context = browser.new_context(viewport=PHONE if is_phone else DESKTOP, has_touch=is_phone, is_mobile=is_phone)
