@@ -19,8 +19,11 @@ def study(*words: object, data: Path, directory: Path, code: int = 0) -> str:
     return run("study", *SMALL, *words, f"data_dir={data}", f"directory={directory}", code=code)
 
 
-def test_simulated_participants_and_power(experiments: StudyExperiments, tiny_data: Path, tmp_path: Path) -> None:
-    directory = tmp_path / "study" / "blocktower"
+@pytest.fixture(scope="module")
+def simulated(experiments: StudyExperiments, tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Outputs with the answers of simulated participants."""
+    outputs = tmp_path_factory.mktemp("outputs")
+    directory = outputs / "study" / "blocktower"
     shutil.copytree(experiments.directory, directory)
     backup, stale = directory / "simulated.sqlite.2026-pilot", directory / "simulated.sqlite-wal"
     for path in (backup, stale):
@@ -30,20 +33,23 @@ def test_simulated_participants_and_power(experiments: StudyExperiments, tiny_da
     assert stale.read_bytes() == b""  # of the process that reads the new file
     assert not list(directory.glob("*.tmp*"))
     assert backup.read_bytes() == b"of another file"
+    return outputs
+
+
+def test_power_is_computed_from_simulated_participants(simulated: Path, tiny_data: Path) -> None:
+    directory = simulated / "study" / "blocktower"
     printed = study("action=power", data=tiny_data, directory=directory)
     assert "needs more than 300 participants" in printed  # three simulated ones are too few to see an effect
     assert pd.read_csv(directory / "power.csv")["power"].between(0, 1).all()
     assert (directory / "power.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
-def test_the_report_shows_simulated_participants_in_a_table_of_their_own(tiny_data: Path, tmp_path: Path) -> None:
-    study("action=simulate", data=tiny_data, directory=tmp_path / "study" / "blocktower")
-    printed = run("report", f"outputs={tmp_path}", f"data_dir={tiny_data}")
-    assert "simulated participants" in printed
-    assert "0 runs" in printed  # an outputs folder without runs is not an error
-    assert "Human study" in (tmp_path / "report" / "tables.md").read_text()
-    assert (tmp_path / "report" / "figures" / "study-blocktower-3to3-stays-cf.png").exists()
+@pytest.mark.slow  # test_report.py writes such a report without figures
+def test_a_report_without_runs_shows_simulated_participants(simulated: Path, tiny_data: Path, tmp_path: Path) -> None:
+    printed = run("report", f"outputs={simulated}", f"data_dir={tiny_data}", f"directory={tmp_path}")
+    assert "0 runs" in printed
+    assert "Human study" in (tmp_path / "tables.md").read_text()
+    assert (tmp_path / "figures" / "study-blocktower-3to3-stays-cf.png").exists()
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import asyncio
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -18,7 +19,8 @@ from tests.conftest import ROOT
 from tests.study.conftest import answer_to
 
 NUM_PARTICIPANTS, NUM_TASKS = 50, 4  # practice included
-PORT = 8765
+with socket.create_server(("127.0.0.1", 0)) as listener:
+    PORT = listener.getsockname()[1]  # free
 URL = f"http://127.0.0.1:{PORT}"
 pytestmark = pytest.mark.slow
 

@@ -15,6 +15,7 @@ from cophy.commands.report import ComposedData
 from cophy.config import generated_by, settings
 from cophy.dataset.states import States
 from cophy.report.paper_tables import paper_tables
+from cophy.report.pipeline import Configurations, Report, Supplement
 from cophy.report.render import Cell, table_cells
 from cophy.report.tables import fill
 from cophy.study.answers import SCHEMA, AnswerStore
@@ -100,6 +101,13 @@ def write_answers(
 def description(data: str) -> str:
     content = {"scenario": "blocktower", "split": "3to3", "num_objects": 3, "size": "tiny", "data": data}
     return json.dumps({**content, "resolution": 448, "seconds": 10})
+
+
+def test_a_report_without_runs_has_the_tables_of_studies(tmp_path: Path, data: ComposedData) -> None:
+    configurations = Configurations(data.scenario, data.split, data.dataset, data.dataset_ids)
+    supplement = Supplement(tables=study_tables([study(rows("stays"))]))
+    Report(tmp_path, configurations, supplement, show_all=False).write(tmp_path / "report")
+    assert "Human study" in (tmp_path / "report" / "tables.md").read_text()
 
 
 @pytest.fixture

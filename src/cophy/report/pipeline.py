@@ -104,6 +104,8 @@ class Report:
     @property
     def predictors(self) -> pd.DataFrame:
         """The finished runs with predictions."""
+        if self.runs.empty:  # only human participants are reported
+            return self.runs
         return self.runs[self.runs["directory"].isin(list(self.stored)) & self.runs["error"].isna()]
 
     @cached_property
