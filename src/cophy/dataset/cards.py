@@ -97,24 +97,16 @@ Licence: Apache-2.0, as cophy.
 # metadata in MLCommons' format (http://mlcommons.org/croissant/1.0), which requires the names in CONTEXT
 
 CROISSANT = "croissant.json"
+CROISSANT_NAMES = "citeAs recordSet field source fileSet extract column includes isArray arrayShape"
 CONTEXT = {
     "@language": "en",
     "@vocab": "https://schema.org/",
     "sc": "https://schema.org/",
     "cr": "http://mlcommons.org/croissant/",
     "dct": "http://purl.org/dc/terms/",
-    "citeAs": "cr:citeAs",
     "conformsTo": "dct:conformsTo",
-    "recordSet": "cr:recordSet",
-    "field": "cr:field",
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "source": "cr:source",
-    "fileSet": "cr:fileSet",
-    "extract": "cr:extract",
-    "column": "cr:column",
-    "includes": "cr:includes",
-    "isArray": "cr:isArray",
-    "arrayShape": "cr:arrayShape",
+    **{name: f"cr:{name}" for name in CROISSANT_NAMES.split()},
 }
 SHARDS = {
     "@type": "cr:FileSet",

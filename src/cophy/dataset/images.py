@@ -23,19 +23,16 @@ IMAGE_FORMAT = 1  # increase it when what is stored, or what an image looks like
 FRAMES_PER_CHUNK = 5  # reading a single frame decompresses five
 FRAME = "experiment, sequence (0: AB, 1: CD), frame"
 AXES = f"{FRAME}, row, column"
-DESCRIPTIONS = {  # stored in the files
-    "rgb": {"axes": f"{AXES}, red green blue", "meaning": "colours"},
-    "depth": {"axes": AXES, "unit": "mm", "meaning": "distance along the camera's axis; 0 where there is nothing"},
-    "segmentation": {"axes": AXES, "meaning": f"slot of the object that is seen; {NO_OBJECT} where there is none"},
-    "boxes": {
-        "axes": f"{FRAME}, slot, x1 y1 x2 y2",
-        "unit": "px",
-        "meaning": "first and last column and row of what is seen of the object; -1 where it is not seen",
-    },
-    "drawn": {
-        "axes": FRAME,
-        "meaning": "1 where there is a picture; all else of a frame without one is zero, its boxes -1",
-    },
+DESCRIPTIONS = {  # axes, meaning and unit, as files store them
+    "rgb": (f"{AXES}, red green blue", "colours", ""),
+    "depth": (AXES, "distance along the camera's axis; 0 where there is nothing", "mm"),
+    "segmentation": (AXES, f"slot of the object that is seen; {NO_OBJECT} where there is none", ""),
+    "boxes": (
+        f"{FRAME}, slot, x1 y1 x2 y2",
+        "first and last column and row of what is seen of the object; -1 where it is not seen",
+        "px",
+    ),
+    "drawn": (FRAME, "1 where there is a picture; all else of a frame without one is zero, its boxes -1", ""),
 }
 
 
@@ -185,22 +182,16 @@ class Images(ShardSet):
             "segmentation": ((*frames, size, size), "|u1"),
             "boxes": ((*frames, scenario.num_slots, 4), "<i2"),
         }
-        fields = {
-            name: Field(
-                shape,
-                dtype,
-                storage={
-                    "chunks": (1, 1, FRAMES_PER_CHUNK, *shape[3:]),
-                    "fletcher32": True,
-                    **hdf5plugin.Zstd(clevel=3),
-                },
-                **DESCRIPTIONS[name],
-            )
-            for name, (shape, dtype) in shapes.items()
-            if name in (*self.render.modalities, "boxes")
-        }
+        fields = {}
+        for name, (shape, dtype) in shapes.items():
+            if name not in (*self.render.modalities, "boxes"):
+                continue
+            chunks = (1, 1, FRAMES_PER_CHUNK, *shape[3:])
+            storage = {"chunks": chunks, "fletcher32": True, **hdf5plugin.Zstd(clevel=3)}
+            axes, meaning, unit = DESCRIPTIONS[name]
+            fields[name] = Field(shape, dtype, axes, meaning, unit, storage)
         if self.needed != ALL_FRAMES:
-            fields["drawn"] = Field(frames, "|u1", {}, **DESCRIPTIONS["drawn"])
+            fields["drawn"] = Field(frames, "|u1", *DESCRIPTIONS["drawn"])
         return fields
 
     def description(self) -> dict[str, Any]:

@@ -39,16 +39,16 @@ class Field:
     """An array of a shard.
 
     shape: of the whole array. dtype: as NumPy writes it.
+    axes, meaning, unit: a description, stored as attributes of the array. unit: empty if there is none.
     storage: how HDF5 stores it (chunks, filters), as keywords of `h5py.Group.create_dataset`.
-    axes, unit, meaning: a description, stored as attributes of the array. unit: empty if there is none.
     """
 
     shape: tuple[int, ...]
     dtype: str
-    storage: Mapping[str, Any] = field(default_factory=dict)
     axes: str = ""
-    unit: str = ""
     meaning: str = ""
+    unit: str = ""
+    storage: Mapping[str, Any] = field(default_factory=dict)
 
     def attributes(self) -> dict[str, str]:
         """Return the description of the array, as the file stores it."""

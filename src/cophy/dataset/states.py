@@ -37,24 +37,23 @@ def scene_fields(count: int, num_times: int, num_slots: int) -> Fields:
     """
 
     def per_slot(dtype: str, meaning: str, unit: str = "") -> Field:
-        return Field((count, num_slots), dtype, axes="experiment, slot", unit=unit, meaning=meaning)
+        return Field((count, num_slots), dtype, "experiment, slot", meaning, unit)
 
     states = (count, 2, num_times, num_slots, 13)
     return {
         "states": Field(
             states,
             "<f4",
-            storage={"chunks": (1, *states[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True},
-            axes="experiment, sequence, time, slot, value",
-            unit="m, 1, m/s, rad/s",
-            meaning="position (3), quaternion x y z w (4), linear velocity (3), angular velocity (3); "
-            f"{EMPTY}; {SEQUENCES}",
+            "experiment, sequence, time, slot, value",
+            f"position (3), quaternion x y z w (4), linear velocity (3), angular velocity (3); {EMPTY}; {SEQUENCES}",
+            "m, 1, m/s, rad/s",
+            {"chunks": (1, *states[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True},
         ),
         "presence": Field(
             (count, 2, num_slots),
             "|b1",
-            axes="experiment, sequence, slot",
-            meaning=f"whether the slot holds an object; {SEQUENCES}",
+            "experiment, sequence, slot",
+            f"whether the slot holds an object; {SEQUENCES}",
         ),
         "shape": per_slot("|u1", f"{SHAPES}; an object that is removed in C has its shape"),
         "object_index": per_slot(
@@ -65,7 +64,7 @@ def scene_fields(count: int, num_times: int, num_slots: int) -> Fields:
         "mass": per_slot("<f4", f"mass; {HIDDEN}; {EMPTY}", "kg"),
         "friction": per_slot("<f4", f"coefficient of lateral friction; {HIDDEN}; {EMPTY}", "1"),
         "restitution": per_slot("<f4", f"coefficient of restitution; {HIDDEN}; {EMPTY}", "1"),
-        "gravity": Field((count, 3), "<f4", axes="experiment, x y z", unit="m/s^2", meaning=f"gravity; {HIDDEN}"),
+        "gravity": Field((count, 3), "<f4", "experiment, x y z", f"gravity; {HIDDEN}", "m/s^2"),
     }
 
 
@@ -73,7 +72,7 @@ def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
     """Return the fields of `count` generated experiments."""
 
     def per_experiment(dtype: str, meaning: str) -> Field:
-        return Field((count,), dtype, axes="experiment", meaning=meaning)
+        return Field((count,), dtype, "experiment", meaning)
 
     scenario = spec.scenario
     return {
@@ -85,11 +84,7 @@ def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
         "do_operation": per_experiment("|u1", f"what changes A into C: {_numbered(scenario.do_operations)}"),
         "do_slot": per_experiment("|u1", "slot of the object that is removed or moved"),
         "do_offset": Field(
-            (count, 3),
-            "<f4",
-            axes="experiment, x y z",
-            unit="m",
-            meaning="by how much it is moved; zero where it is removed",
+            (count, 3), "<f4", "experiment, x y z", "by how much it is moved; zero where it is removed", "m"
         ),
         "cell": per_experiment("|u1", f"the kind of experiment that was searched for: {_numbered(scenario.cells())}"),
         "twin": per_experiment("<i4", "number of the pair of twins; experiments 2 i and 2 i + 1 are twins"),
