@@ -16,9 +16,9 @@ def finished(tiny_data: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Images:
-    """A finished dataset with its images, generated and rendered by worker processes; tests only read it."""
-    directory = once_per_session(tmp_path_factory, "images", lambda path: images(path).ensure(workers=2))
-    return images(directory)
+    """A finished dataset with its images; tests only read it."""
+    with in_this_process():
+        return images(once_per_session(tmp_path_factory, "images", lambda path: images(path).ensure(workers=1)))
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from cophy.dataset.datamodules import (
 )
 from cophy.dataset.estimates import Estimates
 from cophy.dataset.features import to_batch
-from cophy.dataset.splits import SPLITS
+from cophy.dataset.splits import SPLITS, Part, Split
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.types import CONFOUNDERS, map_tensors
@@ -151,7 +151,7 @@ def test_no_frames_are_drawn_that_nobody_sees(
         Estimates, "ensure", lambda self, workers: requested.update({self.spec.num_objects: self.needed.name})
     )
     CounterfactualDataModule(
-        settings("train", "split=3to4").split,
+        Split("3to4", Part(3), Part(4)),
         train_set=States(tiny_spec("blocktower", 3), tmp_path),
         test_set=States(tiny_spec("blocktower", 4), tmp_path),
         batch_size=8,

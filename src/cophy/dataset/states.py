@@ -23,7 +23,7 @@ from cophy.scenario.rendering import RenderSettings
 HIDDEN = "a confounder: no picture shows it"
 EMPTY = "zero where a slot is empty"
 SHAPES = ", ".join(["0: none", *(f"{shape.value}: {shape.name.lower()}" for shape in Shape)])
-SEQUENCES = "sequence 0 is AB, which is observed, and 1 is CD, the counterfactual"
+WHICH_SEQUENCE = "sequence 0 is AB, which is observed, and 1 is CD, the counterfactual"
 CONFOUNDERS_OF_OBJECTS = ("mass", "friction", "restitution")
 
 
@@ -45,7 +45,7 @@ def scene_fields(count: int, num_times: int, num_slots: int) -> Fields:
             states,
             "<f4",
             "experiment, sequence, time, slot, value",
-            f"position (3), quaternion x y z w (4), linear velocity (3), angular velocity (3); {EMPTY}; {SEQUENCES}",
+            f"position (3), quaternion x y z w (4), linear velocity (3), angular velocity (3); {EMPTY}; {WHICH_SEQUENCE}",
             "m, 1, m/s, rad/s",
             {"chunks": (1, *states[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True},
         ),
@@ -53,7 +53,7 @@ def scene_fields(count: int, num_times: int, num_slots: int) -> Fields:
             (count, 2, num_slots),
             "|b1",
             "experiment, sequence, slot",
-            f"whether the slot holds an object; {SEQUENCES}",
+            f"whether the slot holds an object; {WHICH_SEQUENCE}",
         ),
         "shape": per_slot("|u1", f"{SHAPES}; an object that is removed in C has its shape"),
         "object_index": per_slot(
