@@ -1,4 +1,4 @@
-"""Speed as ratios within one run: just bench [training|generation|loading|startup ...]
+"""Speed as ratios within one run: just bench [training|generation|loading|startup|report ...]
 
 Prints a table and writes outputs/bench-<topic>.json. CPU times of one thread, medians of several pairs of runs;
 docs/benchmark/performance.md explains each ratio. Without a topic, all are measured (about 20 minutes).
@@ -10,6 +10,7 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 
 import speed_generation
 import speed_loading
+import speed_report
 import speed_startup
 import speed_training
 import torch
@@ -24,6 +25,7 @@ TOPICS = {
     "generation": speed_generation.measure,
     "loading": speed_loading.measure,
     "startup": speed_startup.measure,
+    "report": speed_report.measure,
 }
 
 

@@ -12,17 +12,18 @@ def measure() -> list[Measured]:
     """Measure seconds, not ratios: there is nothing to compare start-up with."""
     with tempfile.TemporaryDirectory() as directory:
         places = [f"data_dir={directory}/data", f"hydra.run.dir={directory}/run", "size=tiny"]
-        _cpu_seconds("generate.py", *places, "num_objects=[3]")
-        first_step = [_cpu_seconds("train.py", *places, "trainer.fast_dev_run=true") for _ in range(REPEATS)]
+        cpu_seconds_of("generate.py", *places, "num_objects=[3]")
+        first_step = [cpu_seconds_of("train.py", *places, "trainer.fast_dev_run=true") for _ in range(REPEATS)]
     return [
         Measured(
-            "python src/train.py --help", "CPU-s", [_cpu_seconds("train.py", "--help") for _ in range(REPEATS)], "≤ 3"
+            "python src/train.py --help", "CPU-s", [cpu_seconds_of("train.py", "--help") for _ in range(REPEATS)], "≤ 3"
         ),
         Measured("first step of training, validation, test", "CPU-s", first_step, "≤ 10"),
     ]
 
 
-def _cpu_seconds(script: str, *arguments: str) -> float:
+def cpu_seconds_of(script: str, *arguments: str) -> float:
+    """Measure the CPU time of a command and its processes."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run([sys.executable, f"src/{script}", *arguments], cwd=ROOT, check=True, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

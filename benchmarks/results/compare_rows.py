@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 
 from cophy.bootstrap import interval, mean
+from cophy.report.predictions import stored_errors
 from cophy.report.runs import read_line
-from cophy.report.tables import stored_errors
 from cophy.training.run import METRICS
 
 TESTED = ["scenario", "split", "positions", "size"]  # what both runs share

@@ -17,7 +17,7 @@ from compare_rows import run_of
 from scipy.stats import bootstrap
 
 from cophy.bootstrap import NUM_RESAMPLES
-from cophy.report.tables import stored_errors
+from cophy.report.predictions import stored_errors
 from cophy.training.run import METRICS
 
 ALIKE = ["scenario", "positions", "size"]  # in both

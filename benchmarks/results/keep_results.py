@@ -15,8 +15,9 @@ import numpy as np
 import pandas as pd
 
 from cophy.atomic_files import write_atomically
+from cophy.report.predictions import stored_errors
 from cophy.report.runs import read_line
-from cophy.report.tables import share_of_gain, stored_errors
+from cophy.report.tables import share_of_gain
 from cophy.training.run import METRICS
 
 ROOT = Path(__file__).parents[2]

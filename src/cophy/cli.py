@@ -155,7 +155,8 @@ def _explain_file(group: str, name: str, what: str) -> str:
     if f"Key '{group}' not in" in what:
         return f"{group}={name}: its YAML must start with the line '# @package _global_'"
     remedy = "; ablation=full goes with every model" if group == "ablation" else ""
-    return f"{group}={name} does not go with this model: {what} (conf/{group}/{name}.yaml sets it{remedy})"
+    file = f" (conf/{group}/{name}.yaml sets it{remedy})" if (CONF / group / f"{name}.yaml").exists() else ""
+    return f"{group}={name} does not go with this model: {what}{file}"
 
 
 def _suggest_key(name: str, node: Any) -> str:

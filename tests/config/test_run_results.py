@@ -31,7 +31,7 @@ def test_the_table_holds_the_numbers_of_metrics_json(tiny_data: Path, tmp_path: 
         assert line(text, "copy C: nothing moves") == f"{found['copy_c']['metrics']['mse']:.4f}"
         assert line(text, "copy B: the do-operation changes nothing") == f"{found['copy_b']['metrics']['mse']:.4f}"
         explained = found[model]["metrics"]["twin_difference_explained"]
-        assert line(text, "Of the twins' difference, explained").startswith(f"{explained:.1%} ")
+        assert line(text, "Explained part of the twins' difference").startswith(f"{explained:.1%} ")
         assert f"Results: {tmp_path}" in text
         assert "Share" not in text
     assert line(printed["copy_c"], "the paper's number of this row") == "4.370"

@@ -14,8 +14,7 @@ from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States
-from cophy.report.difficulty import ALL, TITLES, draw, groups, mse_by_difficulty, page
-from cophy.report.predictions import read_stored_predictions
+from cophy.report.difficulty import EVERYTHING, TITLES, draw, groups, mse_by_difficulty, page
 from cophy.training.metrics import evaluate
 from cophy.training.predictor import prediction_arrays
 from cophy.training.run import write_predictions
@@ -48,8 +47,8 @@ def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, 
 
 def broken_down(lines: list[dict[str, Any]], arrays: dict[str, np.ndarray], spec: DatasetSpec = SPEC) -> pd.DataFrame:
     runs = pd.DataFrame(lines)
-    stored = read_stored_predictions(runs, runs["directory"])
-    return mse_by_difficulty(runs, stored, arrays, spec, Part(3))
+
+    return mse_by_difficulty(runs, arrays, spec, Part(3))
 
 
 def test_groups_add_up_to_the_mse_of_the_run(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
@@ -69,7 +68,7 @@ def test_what_is_explained_of_twins_is_as_in_metrics_json_and_given_per_kind_of_
 ) -> None:
     line = finished_run(arrays, tmp_path)
     found = broken_down([line], arrays)
-    assert found["explained"][found["by"] == ALL].tolist() == pytest.approx([line["twin_difference_explained"]])
+    assert found["explained"][found["by"] == EVERYTHING].tolist() == pytest.approx([line["twin_difference_explained"]])
     kinds = found[found["by"] == "twins"]
     assert kinds["group"].tolist() == ["both fall falls or both fall stands", "falls falls or stands stands"]
     assert kinds["explained"].notna().all()
@@ -78,7 +77,7 @@ def test_what_is_explained_of_twins_is_as_in_metrics_json_and_given_per_kind_of_
 
 def test_seeds_are_averaged_per_experiment(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
     lines = [finished_run(arrays, tmp_path, seed) for seed in (0, 1)]
-    everything = broken_down(lines, arrays).set_index("by").loc[ALL]
+    everything = broken_down(lines, arrays).set_index("by").loc[EVERYTHING]
     assert everything["mse"] == pytest.approx(np.mean([line["mse"] for line in lines]), rel=1e-4)
     assert everything["seeds"] == 2
 

@@ -12,8 +12,8 @@ from cophy.config import settings
 from cophy.report import figures
 from cophy.report.figures import draw_bars, draw_predictions, write_figure
 from cophy.report.paper_tables import paper_tables
-from cophy.report.predictions import StoredPredictions
-from cophy.report.tables import Errors, fill
+from cophy.report.predictions import Errors, StoredPredictions
+from cophy.report.tables import fill
 from tests.report.lines import measured
 
 TABLE, COLLISION = (next(table for table in paper_tables() if table.id == name) for name in ("blocktower", "collision"))
@@ -45,7 +45,7 @@ def test_titles_of_panels_keep_their_words_whole() -> None:
 
 def test_a_figure_is_a_png_and_the_same_pdf_each_time(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_figure(tmp_path, name, drawn("copy_c"))
+        write_figure(tmp_path / name, drawn("copy_c"))
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "a.pdf").read_bytes()[:5] == b"%PDF-"
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
@@ -64,7 +64,7 @@ def test_curves_are_of_the_largest_size_and_the_longest_training(monkeypatch: py
         examples = {name: np.zeros((2, 3, 4, 3)) for name in ("position", "target")}
         examples |= {"initial": np.zeros((2, 4, 3)), "presence": np.ones((2, 4), dtype=bool), "pair": np.arange(2)}
         curve = np.full(3, errors[directory])
-        return StoredPredictions(Errors(np.zeros(2), np.arange(2), np.zeros(2)), curve, examples, None)
+        return StoredPredictions(Errors(np.zeros(2), np.arange(2), np.zeros(2)), curve, examples)
 
     curves: dict[str, np.ndarray] = {}
     monkeypatch.setattr(figures, "draw_error_over_time", lambda by_row, **options: curves.update(by_row) or Figure())

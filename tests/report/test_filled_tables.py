@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 
 from cophy.report.paper_tables import paper_tables
+from cophy.report.predictions import Errors
 from cophy.report.render import caption, latex, markdown, share_cells, table_cells
-from cophy.report.tables import Errors, FilledTable, fill
+from cophy.report.tables import FilledTable, fill
 from tests.report.lines import measured, run
 
 TABLES = {table.id: table for table in paper_tables()}

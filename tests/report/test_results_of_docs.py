@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cophy.report.tables import Errors
+from cophy.report.predictions import Errors
 from tests.report.stored_runs import PLACE, content, leave
 
 SCRIPTS = Path(__file__).parents[2] / "benchmarks" / "results"

@@ -11,8 +11,9 @@ import pytest
 
 from cophy.commands.report import ComposedData
 from cophy.errors import CophyError
+from cophy.report.overview import summarize_runs
 from cophy.report.predictions import read_stored_predictions
-from cophy.report.runs import comparable_seeds, largest_size, read_runs, summarize_runs
+from cophy.report.runs import comparable_seeds, largest_size, read_runs
 from tests.report.lines import measured, run
 from tests.report.stored_runs import PLACE, content, leave
 
@@ -62,7 +63,7 @@ def test_what_was_refused_before_it_began_does_not_count(tmp_path: Path, caplog:
         names = run("cophynet", seed=seed) | {"variant": "", "error": "boom", "has_begun": begun}
         (directory / "failure.json").write_text(json.dumps({**names, "directory": ""}))
     assert read_runs(tmp_path, not_checked)["seed"].tolist() == [0]
-    assert "1 run is refused before the start." in caplog.text
+    assert "1 run is not in the tables" in caplog.text
 
 
 def test_only_runs_in_their_own_place_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -166,8 +167,8 @@ def test_damaged_predictions_are_named_and_their_run_skipped(
 
 
 def test_what_cannot_be_read_is_counted(tmp_path: Path) -> None:
-    assert read_runs(tmp_path, not_checked).attrs["skipped"] == 0
+    assert read_runs(tmp_path, not_checked).attrs["unused"] == 0
     broken = tmp_path / "balls" / "4to4" / "in" / "full" / "ground_truth" / "seed0" / "metrics.json"
     broken.parent.mkdir(parents=True)
     broken.write_text("{}")
-    assert read_runs(tmp_path, not_checked).attrs["skipped"] == 1
+    assert read_runs(tmp_path, not_checked).attrs["unused"] == 1

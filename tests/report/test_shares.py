@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 import torch
 
-from cophy.report.tables import Errors, share_of_gain, stored_errors
+from cophy.report.predictions import Errors, stored_errors
+from cophy.report.tables import share_of_gain
 from cophy.training.metrics import mean_squared_error
 from cophy.training.predictor import prediction_arrays
 from cophy.training.run import write_predictions

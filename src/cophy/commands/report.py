@@ -1,25 +1,25 @@
 """Tables and figures from outputs/, ours next to the paper's numbers: python src/report.py"""
 
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from cophy import cli
-from cophy.config import composed, generated_by, to_config
+from cophy.config import generated_by, settings, to_config
 from cophy.dataset.source import GENERATED
 from cophy.dataset.splits import Split
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.released.formats import FORMATS
 from cophy.scenario import Scenario
-from cophy.schemas import GenerateConfig, ReportConfig, TrainConfig
+from cophy.schemas import ReportConfig
 
 # an override of a scenario or a size, as `DatasetSpec` has it; a file of answers may hold any text
 DATA_OVERRIDE = re.compile(r"\+\+(scenario|size)\.[\w.]+=[^${}]*")
@@ -33,7 +33,7 @@ def main(cfg: DictConfig) -> None:
     config = to_config(cfg, ReportConfig)
     data = ComposedData(config.source.name, Path(config.data_dir))
     dataset = data.dataset if config.source.is_generated else None
-    configurations = Configurations(data.scenario, data.split, dataset, data.dataset_ids)
+    configurations = Configurations(data.scenario, data.default_split, dataset, data.dataset_ids)
     outputs = Path(config.outputs)
     supplement = read_supplement(outputs, data.dataset)
     write_report(outputs, Path(config.directory), configurations, supplement, show_all=config.all)
@@ -49,16 +49,17 @@ class ComposedData:
 
     def __init__(self, source: str, data_dir: Path) -> None:
         self.source, self.data_dir = source, data_dir
-        self.train = cache(self._train)
-        self.generate = cache(self._generate)
+        self._composed = cache(_composed)
 
     def scenario(self, name: str) -> Scenario:
         """Return the scenario of a name."""
-        return self.train(f"scenario={name}").scenario
+        scenario: Scenario = self._composed("train", f"source={self.source}", f"scenario={name}").scenario
+        return scenario
 
-    def split(self, scenario: str, name: str) -> Split:
-        """Return a split of a scenario."""
-        return self.train(f"scenario={scenario}", f"split={name}").split
+    def default_split(self, scenario: str) -> Split:
+        """Return the default split of a scenario."""
+        split: Split = self._composed("train", f"source={self.source}", f"scenario={scenario}").split
+        return split
 
     def dataset_ids(self, scenario: str, size: str) -> frozenset[str] | None:
         """Return the ids of today's datasets of a scenario and size; None for released data, which do not change.
@@ -71,9 +72,7 @@ class ComposedData:
             raise CophyError(f"its data are of source={source}, and these tables of source={self.source}")
         if source != GENERATED:
             return None
-        config = self.generate(f"scenario={scenario}", f"size={size}")
-        counts = list(self.scenario(scenario).num_objects)
-        return frozenset(states.id for states in generated_by(replace(config, num_objects=counts)))
+        return frozenset(self.dataset(scenario, count, size).id for count in self.scenario(scenario).num_objects)
 
     def dataset(
         self, scenario: str, num_objects: int, size: str, data_seed: int = 0, overrides: Sequence[str] = ()
@@ -92,23 +91,15 @@ class ComposedData:
         """
         if invalid := [override for override in overrides if not DATA_OVERRIDE.fullmatch(override)]:
             raise CophyError(f"{invalid[0]!r} is no override of a scenario or a size")
-        config = self.generate(f"scenario={scenario}", f"size={size}", f"data_seed={data_seed}", *overrides)
+        names = (f"scenario={scenario}", f"size={size}", f"data_seed={data_seed}")
+        config = self._composed("generate", *names, *overrides)
         (states,) = generated_by(replace(config, num_objects=[num_objects], data_dir=str(self.data_dir)))
         return states
 
-    def _train(self, *overrides: str) -> TrainConfig:
-        with _explained():
-            return to_config(composed("train", f"source={self.source}", *overrides), TrainConfig)
 
-    def _generate(self, *overrides: str) -> GenerateConfig:
-        with _explained():
-            return to_config(composed("generate", *overrides), GenerateConfig)
-
-
-@contextmanager
-def _explained() -> Iterator[None]:
-    """Report errors of Hydra in one line."""
+def _composed(command: str, *overrides: str) -> Any:
+    """Return the configuration of a command; errors of Hydra are reported in one line."""
     try:
-        yield
+        return settings(command, *overrides)
     except (HydraException, OmegaConfBaseException) as error:
         raise CophyError(cli.explain(error)) from error

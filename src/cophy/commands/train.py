@@ -51,7 +51,7 @@ def main(cfg: DictConfig) -> float:
             log.error("%s failed: %s", run.place, error, exc_info=not cli.is_user_error(error))
         raise
     if is_first() and not in_parallel and not config.trainer.fast_dev_run:
-        show_results(run, cfg.scenario.task.metric_dims)
+        show_results(run)
     if validation and cfg.optimized_metric not in validation:
         raise CophyError(f"optimized_metric={cfg.optimized_metric} is not among {', '.join(sorted(validation))}")
     return validation.get(cfg.optimized_metric, math.nan)
@@ -147,6 +147,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
                 "num_train": len(data.train),
                 "num_test": len(results.pairs),
                 "max_epochs": arguments["max_epochs"],
+                "metric_dims": config.scenario.task.metric_dims,
                 "wall_seconds": round(time.monotonic() - start_time, 1),
             }
             log_results(trainer, run.write_results(results, facts))

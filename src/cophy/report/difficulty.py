@@ -3,7 +3,6 @@
 import logging
 import textwrap
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,42 +17,35 @@ from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
 from cophy.report.figures import row_name, sort_rows
-from cophy.report.predictions import StoredPredictions
 from cophy.report.runs import comparable_seeds
 from cophy.scenario import Scenario
 from cophy.training.metrics import mean_squared_error, twin_difference
+from cophy.training.run import read_predictions
 from cophy.types import Prediction, Targets
 
 log = logging.getLogger(__name__)
 
 SECTION = ("scenario", "split", "positions", "size")
-ALL = "all"
+EVERYTHING = "all"
 CATEGORIES = {"cell": "cell", "twins": "cells of both twins", "do_operation": "do-operation"}
-WHOLE_PAIRS = (ALL, "twins")  # these groups hold whole twin pairs
-NUMBERS = {
+WHOLE_PAIRS = (EVERYTHING, "twins")  # these groups hold whole twin pairs
+QUANTITIES = {
     "displacement": "displacement (m)",
     "observed_difference": "AB: distance from the twin's (m)",
     "counterfactual_difference": "CD: distance from the twin's (m)",
     "observed_margin": "A: margin of the tower (m)",
     "counterfactual_margin": "C: margin of the tower (m)",
 }
-TITLES = {ALL: "all", **CATEGORIES, **NUMBERS}
+TITLES = {EVERYTHING: "all", **CATEGORIES, **QUANTITIES}
 RELATIVE_MSE_TOLERANCE = 1e-4  # float32, summed in another order
 
 
-def mse_by_difficulty(
-    runs: pd.DataFrame,
-    stored: Mapping[Path, StoredPredictions],
-    arrays: dict[str, np.ndarray],
-    spec: DatasetSpec,
-    part: Part,
-) -> pd.DataFrame:
+def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: DatasetSpec, part: Part) -> pd.DataFrame:
     """Break the test MSE of runs down by what makes an experiment hard.
 
     Args:
         runs: Finished predictors (see `read_runs`) that were tested on this part of the dataset. A run whose predictions
             are not of the whole test split is left out; the log names it. A row shows its `comparable_seeds`.
-        stored: Predictions of these runs by directory, with all arrays.
         arrays: The dataset.
         spec: Its description.
         part: The part that is tested on.
@@ -72,7 +64,7 @@ def mse_by_difficulty(
         seeds = [
             errors
             for run in comparable_seeds(row_runs).to_dict("records")
-            if (errors := _errors(run, stored[run["directory"]].arrays, truth, spec)) is not None
+            if (errors := _errors(run, read_predictions(run["directory"]), truth, spec)) is not None
         ]
         if not seeds:
             continue
@@ -96,7 +88,7 @@ def groups(values: dict[str, np.ndarray]) -> Iterator[tuple[str, str, np.ndarray
 
     Equal numbers stay together, experiments without the number (NaN) are in no group, and empty groups are left out.
     """
-    yield ALL, ALL, np.ones(len(next(iter(values.values()))), dtype=bool)
+    yield EVERYTHING, EVERYTHING, np.ones(len(next(iter(values.values()))), dtype=bool)
     for by, value in values.items():
         parts = _categories(value) if by in CATEGORIES else _thirds(value)
         yield from ((by, name, rows) for name, rows in parts if rows.any())
@@ -115,13 +107,12 @@ def _thirds(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
 
 
 def _errors(
-    run: dict[Any, Any], predictions: dict[str, np.ndarray] | None, truth: Targets, spec: DatasetSpec
+    run: dict[Any, Any], predictions: dict[str, np.ndarray], truth: Targets, spec: DatasetSpec
 ) -> np.ndarray | None:
     """Return (3, experiment) MSE, and error and size of the twins' difference (see `TwinDifference`), of one run.
 
     None where its predictions are not of this whole test split, or do not give the MSE of its metrics.json.
     """
-    assert predictions is not None
     directory, count, total = run["directory"], len(predictions["target"]), len(truth.position)
     if spec.id not in run["dataset_ids"] or not (
         np.array_equal(predictions["target"], truth.position[:count])
@@ -185,12 +176,12 @@ def _sections(lines: pd.DataFrame) -> Iterator[tuple[list[str], pd.DataFrame]]:
 
 
 def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figure:
-    panels = [by for by in TITLES if by != ALL and by in set(frame["by"])]
+    panels = [by for by in TITLES if by != EVERYTHING and by in set(frame["by"])]
     rows = -(-len(panels) // MAX_PANELS_PER_ROW)
     columns = -(-len(panels) // rows)
     figure = Figure(figsize=(1.6 + 3.0 * columns, 0.5 + 3.0 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
-    axes[0, 0].set_yscale("function", functions=(lambda mse: np.sqrt(np.maximum(mse, 0)), np.square))
+    axes[0, 0].set_yscale("function", functions=(_square_root, np.square))
     for axis, by in zip(axes.flat, panels, strict=False):
         _panel(axis, frame, by, titles[by])
     axes[0, 0].set_ylim(0, 1.05 * frame["high"][frame["row"].isin(_drawn_rows(frame))].max())
@@ -201,6 +192,10 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right center", frameon=False, fontsize="small")
     figure.suptitle(title, fontsize="medium")
     return figure
+
+
+def _square_root(mse: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(np.maximum(mse, 0)))
 
 
 def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
@@ -255,4 +250,4 @@ def _wide(frame: pd.DataFrame) -> str:
 
 def _by_error(frame: pd.DataFrame) -> list[str]:
     """Return the names of rows, the largest MSE over all experiments first."""
-    return frame[frame["by"] == ALL].sort_values("mse", ascending=False)["row"].tolist()
+    return frame[frame["by"] == EVERYTHING].sort_values("mse", ascending=False)["row"].tolist()

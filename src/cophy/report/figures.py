@@ -22,19 +22,18 @@ LINE_LENGTH = 14  # characters in a line of a panel's title, unless a word is lo
 BAR_IN, CHARACTER_IN, MIN_WIDTH_IN = 0.42, 0.1, 6.4  # inches
 
 
-def write_figure(directory: Path, name: str, figure: Figure) -> None:
-    """Write a figure as <name>.png and <name>.pdf.
+def write_figure(path: Path, figure: Figure) -> None:
+    """Write a figure as PNG and PDF.
 
     Args:
-        directory: Folder of the files.
-        name: Without an ending.
+        path: The path without a suffix.
         figure: Its layout is fixed afterwards.
     """
     for kind, options in (("png", {"dpi": 110}), ("pdf", {"metadata": {"CreationDate": None}})):
         file = io.BytesIO()
         figure.savefig(file, format=kind, **options)
-        figure.set_layout_engine("none")  # the second file has the layout of the first
-        write_atomically(directory / f"{name}.{kind}", file.getvalue())
+        figure.set_layout_engine(None)  # the second file has the layout of the first
+        write_atomically(path.with_name(f"{path.name}.{kind}"), file.getvalue())
 
 
 def draw_predictions(

@@ -1,19 +1,18 @@
-"""Overviews of all runs: which methods on which splits, their MSE, epochs and seeds; and whether predictions tell twins apart."""
+"""Overviews of all runs as text: MSE, epochs and seeds; how well predictions separate twins; cost and all metrics."""
 
 from collections.abc import Callable, Iterator
-from functools import partial
 
+import numpy as np
 import pandas as pd
 
 from cophy.report.figures import row_name, sort_rows
 from cophy.report.render import Cell
-from cophy.report.runs import MISSING, POSITIONS, comparable_seeds
+from cophy.report.runs import MISSING, PLACE, POSITIONS, comparable_seeds
 
 TWIN_METRICS = {
     "twin_difference_explained": "Explained part of the twins' difference",
     "right_twin_chosen": "Right twin chosen",
 }
-COLUMN = ["scenario", "split", "size", "positions"]  # what the runs of one column share, except for their epochs
 TWINS_CAPTION = (
     "Twins share A, C and the do-operation and differ in their confounders, which only AB shows. Explained: "
     "1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|², with ΔP and ΔD the predicted and the true difference between twins; 0 % for any model "
@@ -25,44 +24,24 @@ TWINS_CAPTION = (
 def twin_tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Return title -> rows × tested splits of `Cell`, for all runs that were tested on twins; empty without any.
 
+    Of trainings of several lengths, the longest is shown.
+
     Args:
         runs: See `read_runs`.
     """
-    if not set(TWIN_METRICS) <= set(runs.columns) or runs["right_twin_chosen"].isna().all():
+    if not set(TWIN_METRICS) <= set(runs.columns):
         return {}
-    tested = runs[runs["right_twin_chosen"].notna()]
-    # methods without training, such as the copy baselines, are in the column of the longest training
-    trained = tested["epochs"].where(tested["is_trained"].astype(bool))
-    longest = trained.groupby([tested[name] for name in COLUMN]).transform("max")
-    tested = tested.assign(epochs=trained.fillna(longest))
-    tested = tested.assign(column=tested.apply(_column, axis=1))
     return {
-        title: _wide(tested, "column", partial(_twin_cell, metric=metric)) for metric, title in TWIN_METRICS.items()
+        f"{title}: {kind}": _wide(group, lambda seeds, metric=metric: _twin_cell(comparable_seeds(seeds), metric))
+        for kind, group in group_runs(runs[runs["right_twin_chosen"].notna()])
+        for metric, title in TWIN_METRICS.items()
     }
 
 
-def short_columns(columns: "pd.Index[str]") -> list[str]:
-    """Return the columns of a table of one scenario, size and kind of positions without these, for the terminal."""
-    splits = [column.split(" ", 1)[1] for column in columns]  # "3to3, small, 40 epochs, derendered"
-    parts = [split.split(", ") for split in splits]
-    alone = [part[0] for part in parts]
-    if len(set(alone)) == len(alone):
-        return alone
-    return [", ".join([part[0], *(each for each in part[2:] if each.endswith("epochs"))]) for part in parts]
-
-
-def _column(run: "pd.Series[str]") -> str:
-    positions = "" if run["positions"] == "ground_truth" else f", {run['positions']}"
-    epochs = "" if pd.isna(run["epochs"]) else f", {run['epochs']:.0f} epochs"
-    return f"{run['scenario']} {run['split']}, {run['size']}{epochs}{positions}"
-
-
-def _twin_cell(runs: pd.DataFrame, metric: str) -> Cell:
-    runs = comparable_seeds(runs)
-    value, low, high = (
-        round(100 * runs[f"{metric}{end}"].mean(), 1) + 0.0 for end in ("", "_low", "_high")
-    )  # no "-0.0"
-    deviation = f"± {100 * runs[metric].std():.1f}" if len(runs) > 1 else ""
+def _twin_cell(seeds: pd.DataFrame, metric: str) -> Cell:
+    means = (100 * seeds[f"{metric}{end}"].mean() for end in ("", "_low", "_high"))
+    value, low, high = (round(percent, 1) + 0.0 for percent in means)  # no "-0.0"
+    deviation = f"± {100 * seeds[metric].std():.1f}" if len(seeds) > 1 else ""
     return Cell(f"{value:.1f} %", deviation, f"[{low:.1f}, {high:.1f}]")
 
 
@@ -74,7 +53,7 @@ def overview_tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     Args:
         runs: See `read_runs`.
     """
-    return {title: _wide(group, "split", _overview_cell) for title, group in group_runs(runs)}
+    return {title: _wide(group, _overview_cell) for title, group in group_runs(runs)}
 
 
 def group_runs(runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -84,16 +63,11 @@ def group_runs(runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
             yield f"{scenario}, size {size}, {POSITIONS[str(positions)]}", group
 
 
-def _wide(runs: pd.DataFrame, column: str, cell: Callable[[pd.DataFrame], Cell]) -> pd.DataFrame:
-    """Return rows × columns of the cells of the runs of each row and column."""
+def _wide(runs: pd.DataFrame, cell: Callable[[pd.DataFrame], Cell]) -> pd.DataFrame:
+    """Return rows × splits of the cells of the runs of each row and split."""
     rows = [row_name(model, ablation) for model, ablation in zip(runs["model"], runs["ablation"], strict=True)]
-    named = runs.assign(row=rows)
-    cells = {(str(row), str(name)): cell(group) for (row, name), group in named.groupby(["row", column])}
-    columns = sorted({name for _, name in cells})
-    return pd.DataFrame(
-        {name: {row: cells.get((row, name), Cell(MISSING)) for row in sort_rows(set(rows))} for name in columns},
-        dtype=object,
-    )
+    cells = pd.Series({key: cell(group) for key, group in runs.groupby([np.array(rows), "split"])}, dtype=object)
+    return cells.unstack(fill_value=Cell(MISSING)).loc[sort_rows(set(rows))]
 
 
 def _overview_cell(runs: pd.DataFrame) -> Cell:
@@ -106,3 +80,35 @@ def _overview_cell(runs: pd.DataFrame) -> Cell:
     seeds = comparable_seeds(finished)
     text = f"{seeds['mse'].mean():.3f} ({epochs}× {len(seeds)})"
     return Cell(text if len(finished) == len(runs) else f"{text}, {failed}")
+
+
+def summarize_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return cost and test metrics of all runs as text: means over seeds, ± standard deviation where there are several.
+
+    Trainings of other lengths, or with other de-renderers, have lines of their own.
+    """
+    if runs.empty:
+        return runs
+    names, separate = [*PLACE, "size"], [name for name in ("epochs", "derenderer") if name in runs]
+    metrics = [column.removesuffix("_low") for column in runs.columns if column.endswith("_low")]
+    lines = []
+    for keys, seeds in runs.groupby([*names, *separate], dropna=False):
+        failed = int(seeds["error"].notna().sum())
+        line = {"run": " ".join(map(str, keys[: len(names)]))}
+        line["seeds"] = f"{len(seeds) - failed}" + (f" ({failed} failed)" if failed else "")
+        line |= {name: _as_text(key) for name, key in zip(separate, keys[len(names) :], strict=True)}
+        if "training_seconds" in seeds and seeds["training_seconds"].notna().any():
+            line["training (s)"] = _as_text(seeds.loc[seeds["predictor"].isna(), "training_seconds"].mean())
+        line |= {metric.replace("_", " "): _mean_and_deviation(seeds[metric].dropna()) for metric in metrics}
+        lines.append(line)
+    return pd.DataFrame(lines).fillna(MISSING)
+
+
+def _as_text(value: str | float) -> str:
+    return value if isinstance(value, str) else MISSING if pd.isna(value) else f"{value:.0f}"
+
+
+def _mean_and_deviation(values: "pd.Series[float]") -> str:
+    if values.empty:
+        return MISSING
+    return f"{values.mean():.3f}" if len(values) == 1 else f"{values.mean():.3f} ± {values.std():.3f}"

@@ -1,9 +1,9 @@
 """From outputs/ to tables and figures, ours next to the paper's numbers."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,34 +15,35 @@ from cophy.dataset.splits import Split
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.report import difficulty, figures, render
-from cophy.report.overview import TWINS_CAPTION, group_runs, overview_tables, short_columns, twin_tables
+from cophy.report.overview import TWINS_CAPTION, overview_tables, summarize_runs, twin_tables
 from cophy.report.paper_tables import paper_tables
 from cophy.report.predictions import StoredPredictions, read_stored_predictions
-from cophy.report.runs import DatasetIds, notice, read_runs, summarize_runs
+from cophy.report.runs import DatasetIds, notice, read_runs
 from cophy.report.tables import FilledTable, fill
 from cophy.scenario import Scenario
 
 log = logging.getLogger(__name__)
 
 OVERVIEW = "MSE of the test split, m² (epochs of training × seeds)."
+NUM_PROCESSES = 4
 MAX_FAILURES = 5  # printed; runs.csv has all
 SUMMARY_COLUMNS = ("run", "seeds", "epochs", "training (s)", "mse", "final position error")  # in the terminal
 
 
 @dataclass(frozen=True)
 class Configurations:
-    """What the configuration says about the names of runs.
+    """What the names of runs stand for.
 
     Attributes:
         scenario: Returns the scenario of a name.
-        split: Returns a split, by names of scenario and split.
+        default_split: Returns the default split of the scenario of a name.
         dataset: Returns a generated dataset, by name of the scenario, number of objects and name of the size; None where
             the runs are on other data, which have no twins, margins or balance.
         dataset_ids: See `read_runs`.
     """
 
     scenario: Callable[[str], Scenario]
-    split: Callable[[str, str], Split]
+    default_split: Callable[[str], Split]
     dataset: Callable[[str, int, str], States] | None
     dataset_ids: DatasetIds
 
@@ -81,43 +82,24 @@ class Report:
     def __init__(
         self, outputs: Path, configurations: Configurations, supplement: Supplement | None = None, *, show_all: bool
     ) -> None:
-        self.runs = read_runs(outputs, configurations.dataset_ids)
-        self.supplement = supplement or Supplement()
+        runs = read_runs(outputs, configurations.dataset_ids)
+        self.supplement, self.unused = supplement or Supplement(), runs.attrs["unused"]
         self.configurations, self.show_all = configurations, show_all
-        if self.runs.empty and not self.supplement.tables:
-            if self.runs.attrs["unused"]:
+        if runs.empty and not self.supplement.tables:
+            if self.unused:
                 raise CophyError(f"outputs={outputs}: no run can be reported, for the reasons above")
             raise CophyError(f"outputs={outputs}: there are no runs; train.py writes them (python src/train.py --help)")
-        self.stored = self._read_predictions()
-
-    def _read_predictions(self) -> dict[Path, StoredPredictions]:
-        """Return the predictions of the finished predictors by directory; drop the runs whose predictions are damaged."""
-        if self.runs.empty:
-            return {}
-        is_predictor = self.runs["error"].isna() & ~self.runs["model"].str.startswith("derenderer")
-        predictors = self.runs[is_predictor]
-        whole = [path for _, _, _, group in self._difficulty_groups(predictors) for path in group["directory"]]
-        stored = read_stored_predictions(predictors, whole)
-        self.runs = self.runs[~is_predictor | self.runs["directory"].isin(list(stored))]
-        return stored
-
-    @property
-    def predictors(self) -> pd.DataFrame:
-        """The finished runs with predictions."""
-        if self.runs.empty:  # only human participants are reported
-            return self.runs
-        return self.runs[self.runs["directory"].isin(list(self.stored)) & self.runs["error"].isna()]
-
-    @cached_property
-    def scenarios(self) -> dict[str, Scenario]:
-        """The scenarios of the finished runs by name."""
-        names = self.runs.loc[self.runs["error"].isna(), "scenario"].unique() if len(self.runs) else ()
-        return {str(name): self.configurations.scenario(str(name)) for name in names}
-
-    @cached_property
-    def filled(self) -> list[FilledTable]:
-        """The paper's tables with our numbers."""
-        return [
+        if runs.empty:
+            self.finished, self.stored, self.runs = runs, dict[Path, StoredPredictions](), runs
+        else:
+            self.finished = runs[runs["error"].isna()]
+            predictors = self.finished[~self.finished["model"].str.startswith("derenderer")]
+            self.stored = read_stored_predictions(predictors)
+            damaged = set(predictors["directory"]) - set(self.stored)
+            self.finished, self.runs = (part[~part["directory"].isin(damaged)] for part in (self.finished, runs))
+        names = self.finished["scenario"].unique() if len(self.finished) else ()
+        self.scenarios = {str(name): configurations.scenario(str(name)) for name in names}
+        self.filled = [
             fill(table, self.runs, lambda run: self.stored[run["directory"]].errors, self.supplement.participants)
             for table in paper_tables()
         ]
@@ -133,7 +115,10 @@ class Report:
         empty = sum(not filled.has_runs for filled in self.filled)
         if empty and not self.show_all:
             log.info(notice(f"{empty} tables have nothing of ours yet: all=true prints them."))
-        self._show_twins()
+        if twins := twin_tables(self.runs):
+            for title, table in twins.items():
+                render.show(title, table)
+            log.info(notice(TWINS_CAPTION))
         for title, table in self.supplement.tables.items():
             render.show(title, table, self.supplement.caption)
         if self.show_all and len(self.runs):
@@ -161,36 +146,23 @@ class Report:
         if len(shares):
             render.show(render.SHARE, shares if self.show_all else render.filled_only(shares))
 
-    def _show_twins(self) -> None:
-        tables = {
-            f"{title}: {kind}": table
-            for kind, runs in group_runs(self.runs)
-            for title, table in twin_tables(runs).items()
-        }
-        for title, table in tables.items():
-            render.show(title, table.set_axis(short_columns(table.columns), axis=1))
-        if tables:
-            log.info(notice(TWINS_CAPTION))
-
     def write(self, directory: Path) -> None:
         """Write all tables as Markdown, LaTeX and CSV, and all figures as PNG and PDF."""
         (directory / "figures").mkdir(parents=True, exist_ok=True)
         lines = self.mse_by_difficulty()
         texts = self._tables()
         if len(lines):
-            texts |= {
-                "difficulty.csv": lines.to_csv(index=False),
-                "difficulty.md": difficulty.page(lines, self.scenarios),
-            }
+            texts["difficulty.csv"] = lines.to_csv(index=False)
+            texts["difficulty.md"] = difficulty.page(lines, self.scenarios)
         for name, text in texts.items():
             write_atomically(directory / name, text.encode())
-        drawn = self._figures(lines)
-        for name, figure in drawn.items():
-            figures.write_figure(directory / "figures", name, figure)
-        skipped = self.runs.attrs["skipped"]
-        unreadable = f" ({skipped} more cannot be read, see above)" if skipped else ""
+        drawn = dict(self._figures(lines))
+        with ProcessPoolExecutor(NUM_PROCESSES) as processes:  # matplotlib takes most of the time of a report
+            paths = [directory / "figures" / name for name in drawn]
+            list(processes.map(figures.write_figure, paths, drawn.values()))
+        unused = f" ({self.unused} more are left out, see above)" if self.unused else ""
         message = "%d runs%s; tables (md, tex, csv), their captions and %d figures (png, pdf) are in\n%s"
-        log.info(message, len(self.runs), unreadable, len(drawn), directory)
+        log.info(message, len(self.runs), unused, len(drawn), directory)
 
     def _tables(self) -> dict[str, str]:
         """Return the content of the files of tables by name; tables with something of ours come first."""
@@ -208,48 +180,36 @@ class Report:
             **{f"{table.table.id}.csv": table.values.to_csv(index=False) for table in filled},
         }
 
-    def _figures(self, lines: pd.DataFrame) -> dict[str, Figure]:
-        drawn = {
-            f"table-{filled.table.id}": figures.draw_bars(filled)
-            for filled in self.filled
-            if filled.values["seeds"].any()
-        }
-        if len(self.predictors):
-            drawn |= dict(
-                figures.draw_predictions(self.predictors, self.stored, self.scenarios, all_trajectories=self.show_all)
-            )
-        drawn |= self._stability_distributions()
+    def _figures(self, lines: pd.DataFrame) -> Iterator[tuple[str, Figure]]:
+        for filled in self.filled:
+            if filled.values["seeds"].any():
+                yield f"table-{filled.table.id}", figures.draw_bars(filled)
+        if self.stored:
+            runs = self.finished[self.finished["directory"].isin(list(self.stored))]
+            yield from figures.draw_predictions(runs, self.stored, self.scenarios, all_trajectories=self.show_all)
+        yield from self._stability_distributions()
         if len(lines):
-            drawn |= dict(difficulty.draw(lines, self.scenarios))
-        return drawn | self.supplement.figures
-
-    def _difficulty_groups(self, runs: pd.DataFrame) -> list[tuple[str, str, str, pd.DataFrame]]:
-        """Return scenario, split, size and runs of those on the default split of each scenario whose dataset exists."""
-        if self.configurations.dataset is None:
-            return []
-        default = {name: scenario.task.splits[0] for name, scenario in self.scenarios.items()}
-        groups = runs[runs["split"] == runs["scenario"].map(default)].groupby(["scenario", "split", "size"])
-        named = [(str(scenario), str(split), str(size), group) for (scenario, split, size), group in groups]
-        return [each for each in named if self._test_set(each[0], each[1], each[2]).is_finished()]
-
-    def _test_set(self, scenario: str, split: str, size: str) -> States:
-        assert self.configurations.dataset is not None
-        return self.configurations.dataset(scenario, self.configurations.split(scenario, split).test.num_objects, size)
+            yield from difficulty.draw(lines, self.scenarios)
+        yield from self.supplement.figures.items()
 
     def mse_by_difficulty(self) -> pd.DataFrame:
         """Return the lines of `cophy.report.difficulty.mse_by_difficulty` on the default split of each scenario."""
-        frames = []
-        for scenario, split, size, group in self._difficulty_groups(self.predictors) if len(self.predictors) else ():
-            states, part = self._test_set(scenario, split, size), self.configurations.split(scenario, split).test
-            frames.append(difficulty.mse_by_difficulty(group, self.stored, states.load(), states.spec, part))
+        if self.configurations.dataset is None or not self.stored:
+            return pd.DataFrame()
+        runs, frames = self.finished[self.finished["directory"].isin(list(self.stored))], []
+        for (name, split, size), group in runs.groupby(["scenario", "split", "size"]):
+            if split == self.scenarios[str(name)].task.splits[0]:
+                part = self.configurations.default_split(str(name)).test
+                states = self.configurations.dataset(str(name), part.num_objects, str(size))
+                if states.is_finished():
+                    frames.append(difficulty.mse_by_difficulty(group, states.load(), states.spec, part))
         return pd.concat(frames) if frames else pd.DataFrame()
 
-    def _stability_distributions(self) -> dict[str, Figure]:
+    def _stability_distributions(self) -> Iterator[tuple[str, Figure]]:
         """Draw the stability distribution of the tower datasets that the runs used."""
-        if self.configurations.dataset is None or self.runs.empty:
-            return {}
-        finished, drawn = self.runs[self.runs["error"].isna()], {}
-        for (name, size), group in finished.groupby(["scenario", "size"]):
+        if self.configurations.dataset is None or not self.scenarios:
+            return
+        for (name, size), group in self.finished.groupby(["scenario", "size"]):
             scenario = self.scenarios[str(name)]
             if scenario.statics is None:
                 continue
@@ -261,8 +221,7 @@ class Report:
                 elif states.id in used:
                     log.info(notice(f"{states.directory} does not exist: the report leaves out its figures."))
             if arrays:
-                drawn[f"stability_distribution-{size}"] = figures.draw_stability_distribution(arrays)
-        return drawn
+                yield f"stability_distribution-{size}", figures.draw_stability_distribution(arrays)
 
 
 def write_report(

@@ -13,39 +13,35 @@ from rich.table import Table
 
 from cophy.errors import CophyError
 from cophy.report.paper_tables import published_mse
+from cophy.report.predictions import stored_errors
 from cophy.report.runs import read_line
-from cophy.report.tables import share_of_gain, stored_errors
+from cophy.report.tables import share_of_gain
 from cophy.training.run import METRICS, Run
 
-ORACLES = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
+ENDS_OF_SHARE = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
 COPIES = {"copy_c": "copy C: nothing moves", "copy_b": "copy B: the do-operation changes nothing"}
 IN_PERCENT = {
-    "twin_difference_explained": "Of the twins' difference, explained",
+    "twin_difference_explained": "Explained part of the twins' difference",
     "right_twin_chosen": "Right twin chosen",
 }
 
 
-def show_results(run: Run, metric_dims: int) -> None:
-    """Print a small table of the run's metrics.json, and its path.
-
-    Args:
-        run: A finished run.
-        metric_dims: Coordinates that count for the MSE.
-    """
+def show_results(run: Run) -> None:
+    """Print a small table of the metrics.json of a finished run, and its path."""
     content = json.loads((run.directory / METRICS).read_bytes())
     table = Table(
         box=SIMPLE_HEAD, title=f"{run.model} ({run.ablation}) on {run.scenario} {run.split}", title_justify="left"
     )
-    table.add_column(f"Of the test split, {content['num_test']} experiments")
+    table.add_column(f"{content['num_test']} test experiments")
     table.add_column("", justify="right", no_wrap=True)
-    for line in _lines(run, content, metric_dims):
+    for line in _lines(run, content):
         table.add_row(*line)
     console = Console()
     console.print(table)
     console.print(f"Results: {run.directory}", soft_wrap=True, highlight=False)
 
 
-def _lines(run: Run, content: dict[str, Any], metric_dims: int) -> Iterator[tuple[str, str]]:
+def _lines(run: Run, content: dict[str, Any]) -> Iterator[tuple[str, str]]:
     metrics, intervals = content["metrics"], content["intervals"]
     low, high = intervals["mse"]
     yield "MSE, m², with 95 % interval", f"{metrics['mse']:.4f} [{low:.4f}, {high:.4f}]"
@@ -57,27 +53,23 @@ def _lines(run: Run, content: dict[str, Any], metric_dims: int) -> Iterator[tupl
         if name in metrics:
             low, high = intervals[name]
             yield title, f"{metrics[name]:.1%} [{low:.1%}, {high:.1%}]"
-    if (share := _share(run, content, metric_dims)) is not None:
-        yield "Share of the possible gain", share
-
-
-def _share(run: Run, content: dict[str, Any], metric_dims: int) -> str | None:
-    """Return the share of the possible gain as text, or None unless both oracles have a run of the same test split."""
     if run.root is None or run.positions != "ground_truth" or run.model.startswith(("oracle", "derenderer")):
-        return None
-    oracles = [_oracle(run.root / run.scenario / run.split / name, content) for name in ORACLES]
-    directories = [path for path in (run.directory, *oracles) if path is not None]
-    if len(directories) < 3:
-        return None
-    ours, *ends = (pd.DataFrame([{"directory": path, "metric_dims": metric_dims}]) for path in directories)
-    share = share_of_gain(ours, ends[0], ends[1], stored_errors)
-    return None if np.isnan(share.value) else f"{share.value:.0%} [{share.low:.0%}, {share.high:.0%}]"
+        return
+    oracles = [_oracle(run.root / run.scenario / run.split / name, content) for name in ENDS_OF_SHARE]
+    lines = [{"directory": path, "metric_dims": content["metric_dims"]} for path in (run.directory, *oracles)]
+    if None not in oracles:
+        ours, without, with_ab = (pd.DataFrame([line]) for line in lines)
+        share = share_of_gain(ours, without, with_ab, stored_errors)
+        if not np.isnan(share.value):
+            yield "Share of the possible gain", f"{share.value:.0%} [{share.low:.0%}, {share.high:.0%}]"
 
 
-def _oracle(of_model: Path, content: dict[str, Any]) -> Path | None:
-    """The run of an oracle on the same test split, or on its first experiments; of several, the one that changes least."""
-    found = of_model.glob(f"full/ground_truth/seed*/{METRICS}")
-    for path in sorted(found, key=lambda path: len(path.parent.name)):
+def _oracle(directory: Path, content: dict[str, Any]) -> Path | None:
+    """Return the run of an oracle that was tested on the first experiments of the same test split, or on all of them.
+
+    Of several runs, it is the one that changes least beyond its names.
+    """
+    for path in sorted(directory.glob(f"full/ground_truth/seed*/{METRICS}"), key=lambda path: len(path.parent.name)):
         try:
             other = read_line(path)
         except CophyError:  # a file that train.py did not write; report.py names it

@@ -12,8 +12,8 @@ import pandas as pd
 
 from cophy.bootstrap import Ratio, interval
 from cophy.report.paper_tables import PaperTable
-from cophy.report.runs import comparable_seeds
-from cophy.training.run import read_predictions
+from cophy.report.predictions import Errors
+from cophy.report.runs import PLACE, comparable_seeds, select
 
 TESTED_ON = {  # positions= -> sentence of the caption
     "ground_truth": "Tested on true positions.",
@@ -35,9 +35,7 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
     if used.empty:
         return " ".join([*notes, "Nothing was run yet."])
     num_train, num_test, seeds = (_listed(used[name]) for name in ("num_train", "num_test", "seed"))
-    trained = used[
-        used["is_trained"].astype(bool)
-    ]  # copies and oracles have a number of epochs, too, but are not trained
+    trained = used[used["is_trained"].astype(bool)]  # copies and oracles have a number of epochs, too
     epochs = "" if trained.empty else f" {_listed(trained['epochs'])} epochs;"
     size = ", ".join(sorted(used["size"].unique()))
     notes.append(" ".join(TESTED_ON[positions] for positions in sorted(used["positions"].unique())))
@@ -51,12 +49,15 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
         )
     if table.oracles and used["model"].str.startswith("oracle_").any():
         notes.append(ORACLES_NOTE)
-    if "derenderer" in used and len(names := sorted(used["derenderer"].dropna().unique())):
+    if names := _unique(used, "derenderer"):
         notes.append(f"Positions estimated by de-renderer {' and '.join(names)} (hash of its checkpoint).")
-    if "predictor" in used and len(tested := used[used["predictor"].notna()]):
-        names = sorted({f"{run.model} seed {run.seed} ({run.predictor})" for run in tested.itertuples()})
+    if names := _unique(used, "predictor"):
         notes.append(f"Tested from checkpoints (by hash), not trained here: {', '.join(names)}.")
     return " ".join([*notes, table.note]).strip()
+
+
+def _unique(runs: pd.DataFrame, name: str) -> list[str]:
+    return sorted(runs[name].dropna().unique()) if name in runs else []
 
 
 def _listed(counts: "pd.Series[float]") -> str:
@@ -64,37 +65,7 @@ def _listed(counts: "pd.Series[float]") -> str:
     return ", ".join(map(str, sorted(counts.astype(int).unique())))
 
 
-class Errors(NamedTuple):
-    """Errors of a run.
-
-    Attributes:
-        mse: (experiment,) mean squared error, m².
-        pair: (experiment,) twin pair of the experiment.
-        truth: (experiment,) sum of the true coordinates, m; it tells experiments of different data apart.
-    """
-
-    mse: np.ndarray
-    pair: np.ndarray
-    truth: np.ndarray
-
-
-ErrorsOf = Callable[[dict[Any, Any]], Errors]  # from a run's line (`read_runs`)
-
-
-def stored_errors(run: dict[Any, Any]) -> Errors:
-    """Return the errors of the predictions that a run stored."""
-    return errors_of_predictions(read_predictions(run["directory"]), int(run["metric_dims"]))
-
-
-def errors_of_predictions(predictions: dict[str, np.ndarray], dims: int) -> Errors:
-    """Return the errors of stored predictions (see `read_predictions`) in the first `dims` coordinates."""
-    error = np.square(predictions["position"] - predictions["target"]) - predictions.get("draw_variance", 0.0)
-    squared, present = error[..., :dims].mean(axis=(1, 3), dtype=np.float64), predictions["presence"]
-    truth = predictions["target"].sum(axis=(1, 2, 3), dtype=np.float64)
-    return Errors(np.where(present, squared, 0.0).sum(axis=1) / present.sum(axis=1), predictions["pair"], truth)
-
-
-class Share(NamedTuple):
+class GainShare(NamedTuple):
     """Share of the possible gain: what AB adds to the best that is possible without it; negative below that.
 
     Attributes:
@@ -107,10 +78,11 @@ class Share(NamedTuple):
     high: float = np.nan
 
 
-UNKNOWN = Share(np.nan)
+ErrorsOf = Callable[[dict[Any, Any]], Errors]  # from a run's line (`read_runs`)
+UNKNOWN = GainShare(np.nan)
 
 
-def share_of_gain(ours: pd.DataFrame, without: pd.DataFrame, with_ab: pd.DataFrame, errors_of: ErrorsOf) -> Share:
+def share_of_gain(ours: pd.DataFrame, without: pd.DataFrame, with_ab: pd.DataFrame, errors_of: ErrorsOf) -> GainShare:
     """Return (oracle without AB - ours) / (oracle without AB - oracle with AB), on the experiments common to all.
 
     Oracles predict only the first experiments of a test split; a model's errors on the others do not count here.
@@ -132,10 +104,10 @@ def share_of_gain(ours: pd.DataFrame, without: pd.DataFrame, with_ab: pd.DataFra
         return UNKNOWN
     mse, mse_without, mse_with = (np.mean([errors.mse[:count] for errors in part], axis=0) for part in parts)
     gain, possible = mse_without - mse, mse_without - mse_with
-    return Share(gain.sum() / possible.sum(), *interval(Ratio(gain, possible), parts[0][0].pair[:count]))
+    return GainShare(gain.sum() / possible.sum(), *interval(Ratio(gain, possible), parts[0][0].pair[:count]))
 
 
-NUMBERS = ("ours", "sd", "low", "high")
+COLUMNS = ("row", "column", "metric", "ours", "sd", "low", "high", "seeds", "failed", "paper")
 
 
 @dataclass(frozen=True)
@@ -193,7 +165,7 @@ def fill(
             numbers, cell_runs = _cell(runs, names, metric, table.scale)
         used.append(cell_runs)
         values.append({"row": row, "column": column, "metric": metric, **numbers, "paper": paper})
-    frame = pd.DataFrame(values).astype({"paper": float})
+    frame = pd.DataFrame(values, columns=COLUMNS).astype({"paper": float})
     share, low, high = zip(*_shares(table, frame, used, errors_of), strict=True)
     frame = frame.assign(best=_best(table, frame), share=share, share_low=low, share_high=high)
     controls = None
@@ -207,8 +179,9 @@ def _of_largest_size(runs: pd.DataFrame, table: PaperTable) -> tuple[pd.DataFram
     """Return the runs of each scenario's largest size, and a sentence on the others, which saw other data."""
     if "num_train" not in runs:  # none has a result
         return runs, ""
-    cells = [{key: value for key, value in names.items() if key != "metric"} for _, _, names, _ in table.cells()]
-    candidates = pd.concat([select(runs, **names) for names in cells if "participants" not in names])
+    cells = pd.DataFrame([names for _, _, names, _ in table.cells() if "participants" not in names])
+    keys = list(PLACE)
+    candidates = runs[pd.MultiIndex.from_frame(runs[keys]).isin(pd.MultiIndex.from_frame(cells[keys]))]
     finished = candidates[candidates["error"].isna()].sort_values("num_train")
     largest = finished.groupby("scenario")["size"].last().to_dict()
     is_largest = [largest.get(name, size) == size for name, size in zip(runs["scenario"], runs["size"], strict=True)]
@@ -218,43 +191,33 @@ def _of_largest_size(runs: pd.DataFrame, table: PaperTable) -> tuple[pd.DataFram
     return remaining, f"A table is of one size; runs of another are left out: {', '.join(others)}."
 
 
-def select(runs: pd.DataFrame, **names: Any) -> pd.DataFrame:
-    """Return the runs of these names."""
-    if runs.empty:
-        return runs
-    mask = pd.Series(True, index=runs.index)
-    for name, value in names.items():
-        mask &= runs[name] == value
-    return runs[mask]
-
-
 def _cell(runs: pd.DataFrame, names: dict[str, str], metric: str, scale: float) -> tuple[dict[str, Any], pd.DataFrame]:
     """Return the numbers of a cell and the runs that they summarise."""
     runs = select(runs, **names)
     failed = int(runs["error"].notna().sum()) if len(runs) else 0
     runs = runs[runs[metric].notna()] if metric in runs else runs.iloc[:0]
     if runs.empty:
-        return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": failed}, runs
+        return {"seeds": 0, "failed": failed}, runs
     runs = comparable_seeds(runs)
-    low, high = runs[f"{metric}_low"].mean(), runs[f"{metric}_high"].mean()
-    numbers = zip(NUMBERS, (runs[metric].mean(), runs[metric].std(), low, high), strict=True)
-    return {**{name: scale * value for name, value in numbers}, "seeds": len(runs), "failed": failed}, runs
+    numbers = {"ours": runs[metric].mean(), "sd": runs[metric].std()}
+    numbers |= {end: runs[f"{metric}_{end}"].mean() for end in ("low", "high")}
+    return {name: scale * value for name, value in numbers.items()} | {"seeds": len(runs), "failed": failed}, runs
 
 
 def _participants(
     participants: pd.DataFrame | None, names: dict[str, str], setting: str, metric: str
 ) -> dict[str, Any]:
     """Return the numbers of a cell of human participants; one study counts as one seed."""
-    wanted = {"scenario": names["scenario"], "split": names["split"], "setting": setting, "metric": metric}
-    lines = pd.DataFrame() if participants is None else select(participants, **wanted)
-    if lines.empty:
-        return {**dict.fromkeys(NUMBERS, np.nan), "seeds": 0, "failed": 0}
-    return {**{name: float(lines.iloc[0][name]) for name in NUMBERS}, "seeds": 1, "failed": 0}
+    if participants is not None:
+        lines = select(participants, scenario=names["scenario"], split=names["split"], setting=setting, metric=metric)
+        if len(lines):
+            return lines.iloc[0][["ours", "sd", "low", "high"]].to_dict() | {"seeds": 1, "failed": 0}
+    return {"seeds": 0, "failed": 0}
 
 
 def _shares(
     table: PaperTable, values: pd.DataFrame, used: list[pd.DataFrame], errors_of: ErrorsOf | None
-) -> list[Share]:
+) -> list[GainShare]:
     """Return the share of each cell: from errors for the MSE, else from means over the same test experiments."""
     if not table.oracles:
         return [UNKNOWN] * len(values)
@@ -274,7 +237,7 @@ def _shares(
         else:
             mean, mean_without, mean_with = (means[cell] for cell in compared)
             possible = mean_without - mean_with
-            shares.append(Share((mean_without - mean) / possible if possible else np.nan))
+            shares.append(GainShare((mean_without - mean) / possible if possible else np.nan))
     return shares
 
 
