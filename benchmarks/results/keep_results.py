@@ -81,8 +81,8 @@ def shares(tested: pd.DataFrame) -> list[list[float]]:
     plain = tested[
         [variant in ("", f"+size-{size}") for variant, size in zip(tested["variant"], tested["size"], strict=True)]
     ]
-    without, with_ab = (plain[plain["model"] == model] for model in ENDS)
-    return [list(share_of_gain(tested.loc[[run]], without, with_ab, stored_errors)) for run in tested.index]
+    ends = [[stored_errors(run) for run in plain[plain["model"] == model].to_dict("records")] for model in ENDS]
+    return [list(share_of_gain([stored_errors(run)], *ends)) for run in tested.to_dict("records")]
 
 
 def as_text(value: object) -> str:

@@ -1,5 +1,7 @@
 """Tables from runs whose numbers are known."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -78,11 +80,11 @@ def test_the_interval_of_a_share_is_paired_over_twin_pairs() -> None:
     hard = rng.exponential(1.0, 200)[pair]
     models = {"oracle_feedforward": 0.3, "oracle_counterfactual": 0.1, "cophynet": 0.15}
 
-    def errors_of(run: dict) -> Errors:
-        return Errors(models[run["model"]] * hard + rng.normal(0.0, 0.002, 400), pair, pair)
-
-    runs = pd.DataFrame([measured("mse", mse, model) for model, mse in models.items()])
-    filled = fill(TABLES["blocktower"], runs, errors_of)
+    errors = {
+        Path(model): Errors(mse * hard + rng.normal(0.0, 0.002, 400), pair, pair) for model, mse in models.items()
+    }
+    runs = pd.DataFrame([measured("mse", mse, model, directory=Path(model)) for model, mse in models.items()])
+    filled = fill(TABLES["blocktower"], runs, errors)
     value = filled.values.set_index(["row", "column"]).loc[("3→3", "CoPhyNet")]
     assert 0.74 < value["share_low"] < 0.75 < value["share_high"] < 0.76
     shares = shares_of(filled)
@@ -95,7 +97,7 @@ def test_the_share_of_an_accuracy_grows_with_it() -> None:
     models = {"oracle_feedforward": 0.7, "oracle_counterfactual": 0.9, "cophynet": 0.8}
     runs = pd.DataFrame([measured(metric, value, model) for model, value in models.items()]).assign(mse=0.1)
     errors = Errors(np.full(4, 0.1), np.arange(4) // 2, np.arange(4))  # intervals are of the MSE, not of an accuracy
-    filled = fill(TABLES["stability"], runs, lambda run: errors)
+    filled = fill(TABLES["stability"], runs, {Path("runs"): errors})
     shares = shares_of(filled)
     assert shares.loc["CoPhyNet", "3→3"] == "50%"
 

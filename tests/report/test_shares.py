@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 
@@ -31,17 +30,11 @@ def test_stored_errors_are_the_mse_of_each_experiment(
 
 def test_a_share_is_of_the_experiments_that_all_were_tested_on() -> None:
     pairs = np.arange(40) // 2
-    ours, without, with_ab = (pd.DataFrame([{"run": name}]) for name in ("ours", "without", "with_ab"))
-    errors = {
-        "ours": Errors(np.where(pairs < 10, 2.0, 100.0), pairs, pairs),
-        "without": Errors(np.full(20, 5.0), pairs[:20], pairs[:20]),
-        "with_ab": Errors(np.full(20, 1.0), pairs[:20], pairs[:20]),
-    }
-    share = share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]])
-    assert share == pytest.approx((0.75, 0.75, 0.75))
-    errors["with_ab"] = Errors(np.full(20, 1.0), pairs[2:22], pairs[2:22])
-    assert np.isnan(share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]]).value)
-    # of other data, whose pairs have the same numbers
-    errors["with_ab"] = Errors(np.full(20, 1.0), pairs[:20], pairs[:20] + 0.5)
-    assert np.isnan(share_of_gain(ours, without, with_ab, lambda run: errors[run["run"]]).value)
-    assert np.isnan(share_of_gain(ours.iloc[:0], without, with_ab, lambda run: errors[run["run"]]).value)
+    ours = [Errors(np.where(pairs < 10, 2.0, 100.0), pairs, pairs)]
+    without, with_ab = ([Errors(np.full(20, mse), pairs[:20], pairs[:20])] for mse in (5.0, 1.0))
+    assert share_of_gain(ours, without, with_ab) == pytest.approx((0.75, 0.75, 0.75))
+    other_pairs = [Errors(np.full(20, 1.0), pairs[2:22], pairs[2:22])]
+    assert np.isnan(share_of_gain(ours, without, other_pairs).value)
+    other_data = [Errors(np.full(20, 1.0), pairs[:20], pairs[:20] + 0.5)]  # whose pairs have the same numbers
+    assert np.isnan(share_of_gain(ours, without, other_data).value)
+    assert np.isnan(share_of_gain([], without, with_ab).value)

@@ -19,7 +19,7 @@ from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.released.formats import FORMATS
 from cophy.scenario import Scenario
-from cophy.schemas import ReportConfig
+from cophy.schemas import GenerateConfig, ReportConfig, TrainConfig
 
 # an override of a scenario or a size, as `DatasetSpec` has it; a file of answers may hold any text
 DATA_OVERRIDE = re.compile(r"\+\+(scenario|size)\.[\w.]+=[^${}]*")
@@ -53,13 +53,16 @@ class ComposedData:
 
     def scenario(self, name: str) -> Scenario:
         """Return the scenario of a name."""
-        scenario: Scenario = self._composed("train", f"source={self.source}", f"scenario={name}").scenario
-        return scenario
+        return self._of_scenario(name).scenario
 
     def default_split(self, scenario: str) -> Split:
         """Return the default split of a scenario."""
-        split: Split = self._composed("train", f"source={self.source}", f"scenario={scenario}").split
-        return split
+        return self._of_scenario(scenario).split
+
+    def _of_scenario(self, name: str) -> GenerateConfig | TrainConfig:
+        if self.source == GENERATED:
+            return self._composed("generate", f"scenario={name}", "size=small", "data_seed=0")
+        return self._composed("train", f"source={self.source}", f"scenario={name}")
 
     def dataset_ids(self, scenario: str, size: str) -> frozenset[str] | None:
         """Return the ids of today's datasets of a scenario and size; None for released data, which do not change.

@@ -23,16 +23,18 @@ BAR_IN, CHARACTER_IN, MIN_WIDTH_IN = 0.42, 0.1, 6.4  # inches
 
 
 def write_figure(path: Path, figure: Figure) -> None:
-    """Write a figure as PNG and PDF.
+    """Write a figure as PNG and PDF, with the same layout.
 
     Args:
         path: The path without a suffix.
         figure: Its layout is fixed afterwards.
     """
+    if engine := figure.get_layout_engine():
+        engine.execute(figure)
+        figure.set_layout_engine(None)  # savefig would compute it again for each file
     for kind, options in (("png", {"dpi": 110}), ("pdf", {"metadata": {"CreationDate": None}})):
         file = io.BytesIO()
         figure.savefig(file, format=kind, **options)
-        figure.set_layout_engine(None)  # the second file has the layout of the first
         write_atomically(path.with_name(f"{path.name}.{kind}"), file.getvalue())
 
 

@@ -91,24 +91,36 @@ def summarize_runs(runs: pd.DataFrame) -> pd.DataFrame:
         return runs
     names, separate = [*PLACE, "size"], [name for name in ("epochs", "derenderer") if name in runs]
     metrics = [column.removesuffix("_low") for column in runs.columns if column.endswith("_low")]
-    lines = []
-    for keys, seeds in runs.groupby([*names, *separate], dropna=False):
-        failed = int(seeds["error"].notna().sum())
-        line = {"run": " ".join(map(str, keys[: len(names)]))}
-        line["seeds"] = f"{len(seeds) - failed}" + (f" ({failed} failed)" if failed else "")
-        line |= {name: _as_text(key) for name, key in zip(separate, keys[len(names) :], strict=True)}
-        if "training_seconds" in seeds and seeds["training_seconds"].notna().any():
-            line["training (s)"] = _as_text(seeds.loc[seeds["predictor"].isna(), "training_seconds"].mean())
-        line |= {metric.replace("_", " "): _mean_and_deviation(seeds[metric].dropna()) for metric in metrics}
-        lines.append(line)
-    return pd.DataFrame(lines).fillna(MISSING)
+    known = runs.fillna(dict.fromkeys(separate, MISSING)).assign(failed=runs["error"].notna())
+    groups = known.groupby([*names, *separate])
+    summary = groups.size().rename("runs").reset_index()
+    failed, means, deviations = groups["failed"].sum().to_numpy(), groups[metrics].mean(), groups[metrics].std()
+    table = pd.DataFrame({"run": summary[names].agg(" ".join, axis=1)})
+    table["seeds"] = [
+        f"{count - lost}" + (f" ({lost} failed)" if lost else "")
+        for count, lost in zip(summary["runs"], failed, strict=True)
+    ]
+    for name in separate:
+        table[name] = summary[name].map(_as_text)
+    if "training_seconds" in runs:
+        seconds = (
+            known["training_seconds"]
+            .where(known["predictor"].isna())
+            .groupby([known[name] for name in (*names, *separate)])
+        )
+        table["training (s)"] = seconds.mean().map(_as_text).to_numpy()
+    for metric in metrics:
+        pairs = zip(means[metric], deviations[metric], strict=True)
+        table[metric.replace("_", " ")] = [_mean_and_deviation(mean, deviation) for mean, deviation in pairs]
+    return table
 
 
 def _as_text(value: str | float) -> str:
     return value if isinstance(value, str) else MISSING if pd.isna(value) else f"{value:.0f}"
 
 
-def _mean_and_deviation(values: "pd.Series[float]") -> str:
-    if values.empty:
+def _mean_and_deviation(mean: float, deviation: float) -> str:
+    """Return a mean and its standard deviation, which is NaN for one value, as text."""
+    if pd.isna(mean):
         return MISSING
-    return f"{values.mean():.3f}" if len(values) == 1 else f"{values.mean():.3f} ± {values.std():.3f}"
+    return f"{mean:.3f}" if pd.isna(deviation) else f"{mean:.3f} ± {deviation:.3f}"

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,11 +21,12 @@ from cophy.report.predictions import StoredPredictions, read_stored_predictions
 from cophy.report.runs import DatasetIds, notice, read_runs
 from cophy.report.tables import FilledTable, fill
 from cophy.scenario import Scenario
+from cophy.workers import begin_worker, ending_workers
 
 log = logging.getLogger(__name__)
 
 OVERVIEW = "MSE of the test split, m² (epochs of training × seeds)."
-NUM_PROCESSES = 4
+NUM_PROCESSES = 4  # they write figures, which takes most of the time of a report
 MAX_FAILURES = 5  # printed; runs.csv has all
 SUMMARY_COLUMNS = ("run", "seeds", "epochs", "training (s)", "mse", "final position error")  # in the terminal
 
@@ -99,10 +100,9 @@ class Report:
             self.finished, self.runs = (part[~part["directory"].isin(damaged)] for part in (self.finished, runs))
         names = self.finished["scenario"].unique() if len(self.finished) else ()
         self.scenarios = {str(name): configurations.scenario(str(name)) for name in names}
-        self.filled = [
-            fill(table, self.runs, lambda run: self.stored[run["directory"]].errors, self.supplement.participants)
-            for table in paper_tables()
-        ]
+        errors = {directory: predictions.errors for directory, predictions in self.stored.items()}
+        self.filled = [fill(table, self.runs, errors, self.supplement.participants) for table in paper_tables()]
+        self.twins, self.difficulty = twin_tables(self.runs), self._mse_by_difficulty()
 
     def show(self) -> None:
         """Print what was run and the paper's tables as far as runs fill them."""
@@ -115,9 +115,9 @@ class Report:
         empty = sum(not filled.has_runs for filled in self.filled)
         if empty and not self.show_all:
             log.info(notice(f"{empty} tables have nothing of ours yet: all=true prints them."))
-        if twins := twin_tables(self.runs):
-            for title, table in twins.items():
-                render.show(title, table)
+        for title, table in self.twins.items():
+            render.show(title, table)
+        if self.twins:
             log.info(notice(TWINS_CAPTION))
         for title, table in self.supplement.tables.items():
             render.show(title, table, self.supplement.caption)
@@ -146,30 +146,27 @@ class Report:
         if len(shares):
             render.show(render.SHARE, shares if self.show_all else render.filled_only(shares))
 
-    def write(self, directory: Path) -> None:
-        """Write all tables as Markdown, LaTeX and CSV, and all figures as PNG and PDF."""
-        (directory / "figures").mkdir(parents=True, exist_ok=True)
-        lines = self.mse_by_difficulty()
+    def start_figures(self, processes: Executor, directory: Path) -> Iterator[None]:
+        """Start to write all figures as PNG and PDF; the returned iterator yields once per figure that is written."""
+        directory.mkdir(parents=True, exist_ok=True)
+        drawn = dict(self._figures())
+        return processes.map(figures.write_figure, (directory / name for name in drawn), drawn.values())
+
+    def write_tables(self, directory: Path) -> None:
+        """Write all tables as Markdown, LaTeX and CSV."""
         texts = self._tables()
-        if len(lines):
-            texts["difficulty.csv"] = lines.to_csv(index=False)
-            texts["difficulty.md"] = difficulty.page(lines, self.scenarios)
+        if len(self.difficulty):
+            texts["difficulty.csv"] = self.difficulty.to_csv(index=False)
+            texts["difficulty.md"] = difficulty.page(self.difficulty, self.scenarios)
         for name, text in texts.items():
             write_atomically(directory / name, text.encode())
-        drawn = dict(self._figures(lines))
-        with ProcessPoolExecutor(NUM_PROCESSES) as processes:  # matplotlib takes most of the time of a report
-            paths = [directory / "figures" / name for name in drawn]
-            list(processes.map(figures.write_figure, paths, drawn.values()))
-        unused = f" ({self.unused} more are left out, see above)" if self.unused else ""
-        message = "%d runs%s; tables (md, tex, csv), their captions and %d figures (png, pdf) are in\n%s"
-        log.info(message, len(self.runs), unused, len(drawn), directory)
 
     def _tables(self) -> dict[str, str]:
         """Return the content of the files of tables by name; tables with something of ours come first."""
         filled = sorted(self.filled, key=lambda table: not table.has_runs)
         parts = [
             "\n".join(map(render.markdown, filled)),
-            render.markdown_sections(twin_tables(self.runs), TWINS_CAPTION),
+            render.markdown_sections(self.twins, TWINS_CAPTION),
             render.markdown_sections(self.supplement.tables, self.supplement.caption),
             f"\n## Everything that was run\n\n{summarize_runs(self.runs).to_markdown(index=False)}\n",
         ]
@@ -180,7 +177,7 @@ class Report:
             **{f"{table.table.id}.csv": table.values.to_csv(index=False) for table in filled},
         }
 
-    def _figures(self, lines: pd.DataFrame) -> Iterator[tuple[str, Figure]]:
+    def _figures(self) -> Iterator[tuple[str, Figure]]:
         for filled in self.filled:
             if filled.values["seeds"].any():
                 yield f"table-{filled.table.id}", figures.draw_bars(filled)
@@ -188,11 +185,11 @@ class Report:
             runs = self.finished[self.finished["directory"].isin(list(self.stored))]
             yield from figures.draw_predictions(runs, self.stored, self.scenarios, all_trajectories=self.show_all)
         yield from self._stability_distributions()
-        if len(lines):
-            yield from difficulty.draw(lines, self.scenarios)
+        if len(self.difficulty):
+            yield from difficulty.draw(self.difficulty, self.scenarios)
         yield from self.supplement.figures.items()
 
-    def mse_by_difficulty(self) -> pd.DataFrame:
+    def _mse_by_difficulty(self) -> pd.DataFrame:
         """Return the lines of `cophy.report.difficulty.mse_by_difficulty` on the default split of each scenario."""
         if self.configurations.dataset is None or not self.stored:
             return pd.DataFrame()
@@ -236,5 +233,11 @@ def write_report(
     if not outputs.is_dir():
         raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there, study.py answers")
     report = Report(outputs, configurations, supplement, show_all=show_all)
-    report.show()
-    report.write(directory)
+    with ProcessPoolExecutor(NUM_PROCESSES, initializer=begin_worker) as processes, ending_workers():
+        written = report.start_figures(processes, directory / "figures")
+        report.show()
+        report.write_tables(directory)
+        num_figures = len(list(written))
+    unused = f" ({report.unused} more are left out, see above)" if report.unused else ""
+    message = "%d runs%s; tables (md, tex, csv), their captions and %d figures (png, pdf) are in\n%s"
+    log.info(message, len(report.runs), unused, num_figures, directory)

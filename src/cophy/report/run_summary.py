@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
@@ -56,10 +55,9 @@ def _lines(run: Run, content: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if run.root is None or run.positions != "ground_truth" or run.model.startswith(("oracle", "derenderer")):
         return
     oracles = [_oracle(run.root / run.scenario / run.split / name, content) for name in ENDS_OF_SHARE]
-    lines = [{"directory": path, "metric_dims": content["metric_dims"]} for path in (run.directory, *oracles)]
     if None not in oracles:
-        ours, without, with_ab = (pd.DataFrame([line]) for line in lines)
-        share = share_of_gain(ours, without, with_ab, stored_errors)
+        lines = [{"directory": path, "metric_dims": content["metric_dims"]} for path in (run.directory, *oracles)]
+        share = share_of_gain(*([stored_errors(line)] for line in lines))
         if not np.isnan(share.value):
             yield "Share of the possible gain", f"{share.value:.0%} [{share.low:.0%}, {share.high:.0%}]"
 

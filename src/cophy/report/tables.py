@@ -3,8 +3,9 @@
 Nothing is formatted here; `cophy.report.render` does that, once per medium.
 """
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,25 +79,23 @@ class GainShare(NamedTuple):
     high: float = np.nan
 
 
-ErrorsOf = Callable[[dict[Any, Any]], Errors]  # from a run's line (`read_runs`)
 UNKNOWN = GainShare(np.nan)
 
 
-def share_of_gain(ours: pd.DataFrame, without: pd.DataFrame, with_ab: pd.DataFrame, errors_of: ErrorsOf) -> GainShare:
+def share_of_gain(ours: Sequence[Errors], without: Sequence[Errors], with_ab: Sequence[Errors]) -> GainShare:
     """Return (oracle without AB - ours) / (oracle without AB - oracle with AB), on the experiments common to all.
 
     Oracles predict only the first experiments of a test split; a model's errors on the others do not count here.
 
     Args:
-        ours: Runs of a method, one per seed; their errors are averaged.
-        without: Runs of the oracle without AB.
-        with_ab: Runs of the oracle with AB.
-        errors_of: Returns the errors of a run.
+        ours: Errors of a method, one per seed; they are averaged.
+        without: Errors of the oracle without AB.
+        with_ab: Errors of the oracle with AB.
 
     Returns:
         NaN where the runs were tested on different experiments, or one of the three is missing.
     """
-    parts = [[errors_of(run) for run in runs.to_dict("records")] for runs in (ours, without, with_ab)]
+    parts = ours, without, with_ab
     if not all(parts):
         return UNKNOWN
     count = min(len(errors.pair) for part in parts for errors in part)
@@ -144,7 +143,7 @@ class FilledTable:
 def fill(
     table: PaperTable,
     runs: pd.DataFrame,
-    errors_of: ErrorsOf | None = None,
+    errors: Mapping[Path, Errors] | None = None,
     participants: pd.DataFrame | None = None,
 ) -> FilledTable:
     """Fill a table with means over seeds and their uncertainty.
@@ -152,7 +151,7 @@ def fill(
     Args:
         table: The paper's.
         runs: See `read_runs`.
-        errors_of: Returns the errors of a run, for intervals of shares; None for shares of means, without intervals.
+        errors: Errors of the runs by directory, for intervals of shares; None for shares of means, without intervals.
         participants: Numbers of human participants, see `cophy.report.pipeline.Supplement`; None without any.
     """
     runs, left_out = _of_largest_size(runs, table)
@@ -166,7 +165,7 @@ def fill(
         used.append(cell_runs)
         values.append({"row": row, "column": column, "metric": metric, **numbers, "paper": paper})
     frame = pd.DataFrame(values, columns=COLUMNS).astype({"paper": float})
-    share, low, high = zip(*_shares(table, frame, used, errors_of), strict=True)
+    share, low, high = zip(*_shares(table, frame, used, errors), strict=True)
     frame = frame.assign(best=_best(table, frame), share=share, share_low=low, share_high=high)
     controls = None
     if table.controls:
@@ -216,7 +215,7 @@ def _participants(
 
 
 def _shares(
-    table: PaperTable, values: pd.DataFrame, used: list[pd.DataFrame], errors_of: ErrorsOf | None
+    table: PaperTable, values: pd.DataFrame, used: list[pd.DataFrame], errors: Mapping[Path, Errors] | None
 ) -> list[GainShare]:
     """Return the share of each cell: from errors for the MSE, else from means over the same test experiments."""
     if not table.oracles:
@@ -229,9 +228,8 @@ def _shares(
         compared = [(label, other), (table.oracles[0], other), (table.oracles[-1], other)]
         if any(runs[cell].empty for cell in compared):
             shares.append(UNKNOWN)
-        elif errors_of is not None and metric == "mse":
-            ours, without, with_ab = (runs[cell] for cell in compared)
-            shares.append(share_of_gain(ours, without, with_ab, errors_of))
+        elif errors is not None and metric == "mse":
+            shares.append(share_of_gain(*([errors[path] for path in runs[cell]["directory"]] for cell in compared)))
         elif pd.concat([runs[cell] for cell in compared])["num_test"].nunique() > 1:
             shares.append(UNKNOWN)
         else:
