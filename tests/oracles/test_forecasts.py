@@ -1,4 +1,4 @@
-"""Forecasts of the oracles, beside tiny data."""
+"""Forecasts of the oracles for tiny data."""
 
 import shutil
 from dataclasses import replace
@@ -14,24 +14,28 @@ from cophy.errors import CophyError
 from cophy.oracles.forecasts import ORACLES, OracleForecasts, OracleSettings, oracle_forecasts
 from tests.conftest import SCENARIOS, tiny_spec
 
-ASKED = OracleSettings(draws=4, max_configurations=16, noise=0.05, max_experiments=400)
+SETTINGS = OracleSettings(draws=4, max_configurations=8, noise=0.05, max_experiments=4)
 
 
 @pytest.fixture(scope="module")
 def forecasts(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, OracleForecasts]:
-    """Of the test experiments of every scenario, beside a copy of its tiny dataset."""
-    directory, found = tmp_path_factory.mktemp("forecasts"), {}
+    """Forecasts for the first test experiments of every scenario, next to a copy of its tiny dataset."""
+    directory, result = tmp_path_factory.mktemp("forecasts"), {}
     shutil.copytree(tiny_data, directory, dirs_exist_ok=True)
     for name in SCENARIOS:
-        found[name] = oracle_forecasts(States(tiny_spec(name), directory), ASKED)
-        generation.ensure(found[name], workers=1)
-    return found
+        settings = SETTINGS if name == "collision" else replace(SETTINGS, max_experiments=2)
+        result[name] = oracle_forecasts(States(tiny_spec(name), directory), settings)
+        generation.ensure(result[name], workers=1)
+    return result
 
 
-def test_every_oracle_says_something_of_every_test_experiment(forecasts) -> None:
+def test_every_oracle_predicts_the_first_test_experiments(forecasts) -> None:
     for each in forecasts.values():
         stored, arrays = each.load(), each.states.load()
-        assert stored["experiment"].tolist() == np.flatnonzero(arrays["split"] == 2).tolist()
+        assert (
+            stored["experiment"].tolist()
+            == np.flatnonzero(arrays["split"] == 2)[: each.settings.max_experiments].tolist()
+        )
         present = arrays["presence"][stored["experiment"], 1]
         for oracle in ORACLES:
             position, variance = stored[f"{oracle}_position"], stored[f"{oracle}_draw_variance"]
@@ -40,7 +44,7 @@ def test_every_oracle_says_something_of_every_test_experiment(forecasts) -> None
             assert ((stored[f"{oracle}_stable"] >= 0) & (stored[f"{oracle}_stable"] <= 1)).all()
 
 
-def test_twins_share_what_does_not_depend_on_their_confounders(forecasts) -> None:
+def test_twins_share_forecasts_that_do_not_depend_on_their_confounders(forecasts) -> None:
     for each in forecasts.values():
         stored = each.load()
         for oracle in ("feedforward", "initial_velocity"):
@@ -50,7 +54,7 @@ def test_twins_share_what_does_not_depend_on_their_confounders(forecasts) -> Non
             assert not np.array_equal(stored[f"{oracle}_position"][::2], stored[f"{oracle}_position"][1::2])
 
 
-def test_towers_start_at_rest_so_that_their_confounders_tell_everything(forecasts) -> None:
+def test_confounders_determine_towers_which_start_at_rest(forecasts) -> None:
     stored, arrays = forecasts["blocktower"].load(), forecasts["blocktower"].states.load()
     assert np.array_equal(stored["initial_velocity_position"], stored["feedforward_position"])
     assert (stored["confounders_draw_variance"] == 0).all()
@@ -61,7 +65,7 @@ def test_towers_start_at_rest_so_that_their_confounders_tell_everything(forecast
     assert (balls["confounders_draw_variance"] > 0).any()
 
 
-def test_forecasts_are_the_same_when_they_are_made_again(forecasts) -> None:
+def test_regenerated_forecasts_have_the_same_bytes(forecasts) -> None:
     each = forecasts["collision"]
     shard = next(shard for shard in range(each.spec.num_shards) if len(each.read(shard)["experiment"]))
     before = each.path(shard).read_bytes()
@@ -70,12 +74,12 @@ def test_forecasts_are_the_same_when_they_are_made_again(forecasts) -> None:
     assert each.path(shard).read_bytes() == before
 
 
-def test_data_that_come_out_otherwise_are_refused(forecasts, tmp_path: Path, monkeypatch) -> None:
+def test_data_that_other_code_generated_are_refused(forecasts, tmp_path: Path, monkeypatch) -> None:
     each = forecasts["collision"]
     scenario = type(each.spec.scenario)
-    made = scenario.twin_pair
+    original = scenario.twin_pair
     monkeypatch.setattr(
-        scenario, "twin_pair", lambda self, n, *, data_seed, pair, simulator: made(
+        scenario, "twin_pair", lambda self, n, *, data_seed, pair, simulator: original(
             self, n, data_seed=data_seed + 1, pair=pair, simulator=simulator
         )
     )  # fmt: skip
@@ -84,28 +88,24 @@ def test_data_that_come_out_otherwise_are_refused(forecasts, tmp_path: Path, mon
         each.write(tmp_path / "shard.h5", shard, lambda count: None)
 
 
-def test_what_is_stable_is_part_of_what_is_asked(forecasts) -> None:
+def test_another_stability_threshold_has_its_own_directory(forecasts) -> None:
     every = forecasts["collision"]
     spec = replace(
         every.spec, scenario=replace(every.spec.scenario, task=replace(every.spec.scenario.task, stable_speed=0.5))
     )
-    other = oracle_forecasts(States(spec, every.states.directory.parents[1]), ASKED)
+    other = oracle_forecasts(States(spec, every.states.directory.parents[1]), SETTINGS)
     assert other.states.directory == every.states.directory
     assert other.directory != every.directory
 
 
-def test_oracles_are_asked_about_the_first_test_experiments(forecasts, tmp_path: Path) -> None:
+def test_a_limit_on_test_experiments_has_its_own_directory(forecasts, tmp_path: Path) -> None:
     every = forecasts["collision"]
     shutil.copytree(every.states.directory, tmp_path / "collision" / every.states.directory.name)
-    few = oracle_forecasts(States(tiny_spec("collision"), tmp_path), replace(ASKED, max_experiments=2))
+    few = oracle_forecasts(States(tiny_spec("collision"), tmp_path), replace(SETTINGS, max_experiments=2))
     assert few.directory.name != every.directory.name
     generation.ensure(few, workers=1)
     for name, array in few.load().items():
         np.testing.assert_array_equal(array, every.load()[name][:2])
-    asked = [few.num_steps(shard) for shard in range(few.spec.num_shards)]
-    assert sum(asked) == 2  # so progress counts towards 2, not towards all experiments
-    done: list[int] = []
-    few.write(tmp_path / "again.h5", asked.index(2), done.append)
-    assert sum(done) == 2
-    enough = oracle_forecasts(States(tiny_spec("collision"), tmp_path), replace(ASKED, max_experiments=4000))
+    assert sum(few.num_steps(shard) for shard in range(few.spec.num_shards)) == 2  # the total of the progress bar
+    enough = oracle_forecasts(States(tiny_spec("collision"), tmp_path), replace(SETTINGS, max_experiments=4000))
     assert enough.directory.name == every.directory.name

@@ -9,8 +9,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from cophy.config import settings
+from cophy.drawing.plots import write_figure
 from cophy.report import figures
-from cophy.report.figures import draw_bars, draw_predictions, write_figure
+from cophy.report.figures import draw_bars, draw_predictions
 from cophy.report.paper_tables import paper_tables
 from cophy.report.predictions import Errors, StoredPredictions
 from cophy.report.tables import fill

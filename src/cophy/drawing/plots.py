@@ -1,16 +1,40 @@
 """Figures of predictions, for TensorBoard and the report."""
 
+import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from cophy.atomic_files import write_atomically
 from cophy.scenario import Camera
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}  # the axes shown
 FRAMES_PER_MARKER = 4
 MIN_VIEW_M = 2.0  # keeps tiny movements from filling the figure
+
+
+def write_figure(path: Path, figure: Figure) -> None:
+    """Write a figure as PNG and PDF, with the same layout.
+
+    Args:
+        path: The path without a suffix.
+        figure: Its layout is fixed afterwards.
+    """
+    if engine := figure.get_layout_engine():
+        engine.execute(figure)
+        figure.set_layout_engine(None)  # savefig would compute it again for each file
+    for kind, options in (("png", {"dpi": 110}), ("pdf", {"metadata": {"CreationDate": None}})):
+        file = io.BytesIO()
+        figure.savefig(file, format=kind, **options)
+        write_atomically(path.with_name(f"{path.name}.{kind}"), file.getvalue())
+
+
+def square_root(values: np.ndarray) -> np.ndarray:
+    """Return the square root, and 0 below 0: the scale of an axis, importable by the processes that write figures."""
+    return np.asarray(np.sqrt(np.maximum(values, 0)))
 
 
 def draw_trajectories(

@@ -1,19 +1,12 @@
-"""Initial velocities that bring the first frames of AB about, under any confounders: a fit through the simulator.
+"""Prior of the oracles: confounders given A, C and the do-operation; initial velocities, drawn or inferred from AB.
 
-What is said where an oracle is asked about a scenario that it does not know.
-How likely each configuration of confounders is in the data, given A, C and the do-operation.
-How likely each combination of masses and gravity is in the data, given the towers A and C.
-
-This is the conditional distribution of the search, its cells and twins included. All frictions are equally likely.
-
-The search first draws a cell and both twins' configurations. Then it draws geometries until one fits. A geometry can fit
-many pairs of configurations. Each pair contributes its own probability, divided by the share of all geometries that fit
-that pair.
-Initial velocities of A's objects, which its picture does not show: drawn as the scenario draws them, or inferred from AB.
+The prior of towers is the conditional distribution of the search, with its cells and twins; all frictions have the same
+probability. The search first draws a cell and both twins' configurations, and then geometries until one fits. A geometry can
+fit many pairs of configurations. The probability of each pair is that of drawing it, divided by the share of all
+geometries that fit the pair.
 """
 
 from collections.abc import Callable
-from functools import singledispatch
 
 import numpy as np
 
@@ -30,59 +23,46 @@ from cophy.scenario.towers import TOWER_CELLS, TowerCell, Towers, is_identifiabl
 
 
 def unknown_scenario(scenario: Scenario) -> CophyError:
-    """The error that names the scenario and the remedy."""
+    """Return the error for a scenario that the oracles do not know."""
+    name = type(scenario).__name__
     return CophyError(
-        f"the oracles do not know scenario={scenario.name}: leave out model=oracle_*, or register "
-        f"{type(scenario).__name__} in cophy.scenario.oracles"
+        f"the oracles do not know scenario={scenario.name}: leave out model=oracle_*, or add {name} to cophy/oracles/priors.py"
     )
 
 
-@singledispatch
 def configuration_prior(scenario: Scenario, scene: Scene, do_operation: DoOperation) -> np.ndarray:
-    """The prior of the oracles.
+    """Return the probability of each configuration of confounders, given A, C and the do-operation.
 
     Args:
-        scenario: whose data are meant.
-        scene: A; its confounders and velocities do not matter.
-        do_operation: what makes C of A.
+        scenario: The scenario.
+        scene: A; its confounders and velocities are not used.
+        do_operation: The do-operation that changes A to C.
 
     Returns:
         (configuration,) probabilities.
     """
+    num_objects = len(scene.objects)
+    if isinstance(scenario, Blocktower):
+        towers = read_tower(scene), read_tower(do_operation.apply(scene))
+        probability = tower_prior(scenario, do_operation.kind, num_objects)(towers)[0]
+        return scenario.confounders.expand(probability, num_objects)
+    if isinstance(scenario, SimulatedSearch):
+        count = scenario.confounders.num_configurations(num_objects)
+        return np.full(count, 1 / count)
     raise unknown_scenario(scenario)
 
 
-@configuration_prior.register
-def _of_towers(scenario: Blocktower, scene: Scene, do_operation: DoOperation) -> np.ndarray:
-    num_levels = len(scene.objects)
-    towers = read_tower(scene), read_tower(do_operation.apply(scene))
-    probability = tower_prior(scenario, do_operation.kind, num_levels)(towers)[0]
-    return scenario.confounders.expand(probability, num_levels)
+MIN_PROPOSALS = 20_000  # geometries from which the shares are estimated
 
-
-@configuration_prior.register
-def _uniform(scenario: SimulatedSearch, scene: Scene, do_operation: DoOperation) -> np.ndarray:
-    count = scenario.confounders.num_configurations(len(scene.objects))
-    return np.full(count, 1 / count)
-
-
-MIN_PROPOSALS = 20_000  # open geometries that the shares are estimated from
-
-_known: dict[tuple[str, str, int], "TowerPrior"] = {}
+_tower_priors: dict[tuple[str, str, int], "TowerPrior"] = {}
 
 
 def tower_prior(scenario: Blocktower, kind: str, num_levels: int) -> "TowerPrior":
-    """The prior, made once for each kind of do-operation and number of blocks (a few seconds).
-
-    Args:
-        scenario: whose data are meant.
-        kind: of do-operation.
-        num_levels: blocks in A.
-    """
+    """Return the prior, which is computed once for each kind of do-operation and number of blocks in A (a few seconds)."""
     key = (repr(scenario), kind, num_levels)
-    if key not in _known:
-        _known[key] = TowerPrior(scenario, kind, num_levels)
-    return _known[key]
+    if key not in _tower_priors:
+        _tower_priors[key] = TowerPrior(scenario, kind, num_levels)
+    return _tower_priors[key]
 
 
 class TowerPrior:
@@ -94,18 +74,18 @@ class TowerPrior:
         rng = np.random.default_rng((num_levels, scenario.do_operations.index(kind)))
         batches, count = [], 0
         while count < MIN_PROPOSALS:
-            found = self._search.propose(kind, num_levels, rng)
-            batches.append(self._fits(found.towers))
-            count += len(found.level)
+            proposals = self._search.propose(kind, num_levels, rng)
+            batches.append(self._fits(proposals.towers))
+            count += len(proposals.level)
         first, second = (np.concatenate([batch[twin] for batch in batches]) for twin in (0, 1))
-        # (cell, combination of the first twin, of the second): how many geometries fit
+        # number of geometries that fit: (cell, combination of the first twin, combination of the second twin)
         fitting = np.einsum("gci,gcj->cij", first, second, optimize=True)
         partners = np.maximum((fitting > 0).sum(axis=2, keepdims=True), 1)
         share_of_cell = np.bincount(np.concatenate(scenario.blocks()), minlength=len(TOWER_CELLS))
         self._pairs = share_of_cell[:, None, None] / (partners * np.maximum(fitting, 1))
 
     def __call__(self, towers: tuple[Towers, Towers]) -> np.ndarray:
-        """(geometry, combination) probabilities, for towers A and C."""
+        """Return (geometry, combination) probabilities, for towers A and C."""
         first, second = self._fits(towers)
         as_first = first * np.einsum("cij,gcj->gci", self._pairs, second)
         as_second = second * np.einsum("cij,gci->gcj", self._pairs, first)
@@ -113,103 +93,83 @@ class TowerPrior:
         return np.asarray(total / total.sum(axis=1, keepdims=True))
 
     def _fits(self, towers: tuple[Towers, Towers]) -> tuple[np.ndarray, np.ndarray]:
-        """Under which combinations each geometry fits each cell, as the first twin and as the second.
+        """Return whether each geometry fits each cell under each combination, as the first twin and as the second.
 
-        Both are (geometry, cell, combination), 1 where it fits.
+        Returns:
+            Two arrays, (geometry, cell, combination), 1 where it fits.
         """
         statics = self._search.statics
         margins = np.stack([statics.margins(*tower, self._combinations) for tower in towers], axis=1)
         stands, falls = margins >= self._search.min_margin, margins <= -self._search.min_margin
         falls_from = statics.falls_from(*towers[0], self._combinations)
-        kept = is_identifiable(falls_from, margins[:, 1] > 0, self._combinations)
+        identifiable = is_identifiable(falls_from, margins[:, 1] > 0, self._combinations)
 
         def fits(cell: TowerCell) -> np.ndarray:
             observed, counterfactual = ((stands if outcome else falls)[:, s] for s, outcome in enumerate(cell[:2]))
-            return np.asarray(observed & counterfactual & kept)
+            return np.asarray(observed & counterfactual & identifiable)
 
         first = [fits(cell) for cell in TOWER_CELLS]
         second = [fits(cell.twin) for cell in TOWER_CELLS]
         return np.stack(first, axis=1).astype(np.float32), np.stack(second, axis=1).astype(np.float32)
 
 
-@singledispatch
 def draw_initial_velocities(scenario: Scenario, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-    """Initial velocities as the scenario would draw them for objects that lie as in this scene.
+    """Draw initial velocities as the scenario draws them for objects at these places.
 
     Args:
-        scenario: whose objects they are.
-        scene: A; its confounders and velocities do not matter.
-        rng: they are drawn from it.
+        scenario: The scenario.
+        scene: A; its confounders and velocities are not used.
+        rng: The source of randomness.
 
     Returns:
         (object, 2) horizontal velocities, m/s.
     """
+    if isinstance(scenario, Balls):
+        return scenario.sample_velocities(len(scene.objects), rng)
+    if isinstance(scenario, Collision):  # A determines them
+        return scenario.initial_velocities(scene)
     raise unknown_scenario(scenario)
 
 
-@draw_initial_velocities.register
-def _of_balls(scenario: Balls, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-    return scenario.sample_velocities(len(scene.objects), rng)
-
-
-@draw_initial_velocities.register
-def _of_collision(scenario: Collision, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-    """All start alike, so A tells it."""
-    return scenario.initial_velocities(scene)
-
-
-@singledispatch
 def velocity_inference(
     scenario: Scenario, scene: Scene, observed: np.ndarray, simulator: Simulator
 ) -> Callable[[Scene], Scene]:
-    """How A moves at t = 0, inferred from AB.
+    """Return a function from A under any confounders to A with the initial velocities that fit AB under them.
 
     Args:
-        scenario: whose objects they are.
-        scene: A with its true velocities, from which a fit may start; its confounders do not matter.
+        scenario: The scenario.
+        scene: A with its true velocities, from which a fit may start; its confounders are not used.
         observed: (T, K, 3) positions of AB at the frame rate, metres.
-        simulator: fits are simulated with it.
-
-    Returns:
-        A function from A under any confounders to A as it must have moved under these.
+        simulator: The simulator of the fits.
     """
+    if isinstance(scenario, Blocktower):  # towers start at rest
+        return lambda scene: scene
+    if isinstance(scenario, SimulatedSearch):
+        velocity = np.array([body.linear_velocity[:2] for body in scene.objects])
+        return InitialVelocityFit(observed, velocity, solver=scenario.solver, clock=scenario.clock, simulator=simulator)
     raise unknown_scenario(scenario)
 
 
-@velocity_inference.register
-def _at_rest(
-    scenario: Blocktower, scene: Scene, observed: np.ndarray, simulator: Simulator
-) -> Callable[[Scene], Scene]:
-    return lambda scene: scene
-
-
-@velocity_inference.register
-def _fitted(
-    scenario: SimulatedSearch, scene: Scene, observed: np.ndarray, simulator: Simulator
-) -> Callable[[Scene], Scene]:
-    velocity = np.array([body.linear_velocity[:2] for body in scene.objects])
-    return InitialVelocityFit(observed, velocity, solver=scenario.solver, clock=scenario.clock, simulator=simulator)
-
-
-NEAR_M = 3e-3  # what is as near to where it is seen needs no correction; what a simulation remembers of the one before matters less
-MAX_CORRECTIONS = 4  # in free motion each is exact but for friction
-MAX_STEP = 2.0  # m/s, of a correction
-TINY = 1e-12  # what may not be divided by
+NEAR_M = 3e-3  # a smaller position error needs no correction; the state that a simulation keeps from the previous one matters less
+MAX_CORRECTIONS = 4  # in free motion each is exact except for friction
+MAX_STEP = 2.0  # m/s, of one correction
+TINY = 1e-12  # guards against division by zero
 
 
 class InitialVelocityFit:
-    """Finds initial velocities that bring the objects of a scene to where AB shows them in the second frame.
+    """Fit of initial velocities that bring the objects of a scene to their positions in the second frame of AB.
 
-    It starts from the true initial velocities. So the fit under the true confounders is exact, as that of an endless search
-    would be. From AB alone that search is hard: where something is hit before the second frame, few starts lead to the
-    truth. Under other confounders the velocities are corrected by Broyden's method: every step also corrects the derivative
-    that the next one uses.
+    The fit starts from the true initial velocities, so that it is exact under the true confounders, as an exhaustive search
+    would be. From AB alone that search is hard: where objects collide before the second frame, few starting points lead to
+    the true velocities. Under other confounders the velocities are corrected by Broyden's method: every step also updates
+    the derivative that the next step uses.
 
     Args:
         observed: (T, K, 3) positions of AB at the frame rate, metres.
         velocity: (object, 2) true initial velocities, m/s.
-        solver, clock: of the scenario.
-        simulator: fits are simulated with it.
+        solver: The scenario's solver.
+        clock: The scenario's clock.
+        simulator: The simulator of the fits.
     """
 
     def __init__(
@@ -219,7 +179,7 @@ class InitialVelocityFit:
         self.rate = clock.frame_rate_hz
 
     def __call__(self, scene: Scene) -> Scene:
-        """The scene with the best velocities on the way to those that reach the second frame."""
+        """Return the scene with the velocities of the smallest error among those that were tried."""
         velocity = self.velocity
         inverse = self.rate * np.eye(velocity.size)  # velocities per position: that of free motion
         miss = self._miss(scene, velocity)
@@ -238,7 +198,7 @@ class InitialVelocityFit:
         return scene.with_velocities(best)
 
     def _miss(self, scene: Scene, velocity: np.ndarray) -> np.ndarray:
-        """(2 objects,) simulated minus seen positions in the second frame, m."""
+        """Return (2 objects,) simulated minus observed positions in the second frame, m."""
         simulated = self.simulator.simulate_from(scene, velocity, frames=1, solver=self.solver, frame_rate_hz=self.rate)
         slots = [body.slot for body in scene.objects if body.slot is not None]
         return np.asarray(simulated[0, :, :2] - self.observed[1, slots, :2]).ravel()

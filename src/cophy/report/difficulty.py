@@ -16,6 +16,7 @@ from cophy.dataset.difficulty import difficulty
 from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
+from cophy.drawing.plots import square_root
 from cophy.report.figures import row_name, sort_rows
 from cophy.report.runs import comparable_seeds
 from cophy.scenario import Scenario
@@ -181,7 +182,7 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
     columns = -(-len(panels) // rows)
     figure = Figure(figsize=(1.6 + 3.0 * columns, 0.5 + 3.0 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
-    axes[0, 0].set_yscale("function", functions=(_square_root, np.square))
+    axes[0, 0].set_yscale("function", functions=(square_root, np.square))
     for axis, by in zip(axes.flat, panels, strict=False):
         _panel(axis, frame, by, titles[by])
     axes[0, 0].set_ylim(0, 1.05 * frame["high"][frame["row"].isin(_drawn_rows(frame))].max())
@@ -192,10 +193,6 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right center", frameon=False, fontsize="small")
     figure.suptitle(title, fontsize="medium")
     return figure
-
-
-def _square_root(mse: np.ndarray) -> np.ndarray:
-    return np.asarray(np.sqrt(np.maximum(mse, 0)))
 
 
 def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:

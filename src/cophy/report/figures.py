@@ -1,6 +1,5 @@
 """Figures of the report: predicted trajectories, error over time, tables as bars, and the stability distribution."""
 
-import io
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from textwrap import fill
@@ -9,7 +8,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from cophy.atomic_files import write_atomically
 from cophy.drawing.plots import draw_error_over_time, draw_trajectories
 from cophy.report.predictions import StoredPredictions
 from cophy.report.runs import comparable_seeds, largest_size
@@ -20,22 +18,6 @@ from cophy.scenario.towers import TOWER_CELLS
 GREY, BLUE, RED = "#b9bec6", "#2b6fd6", "#d1342f"
 LINE_LENGTH = 14  # characters in a line of a panel's title, unless a word is longer
 BAR_IN, CHARACTER_IN, MIN_WIDTH_IN = 0.42, 0.1, 6.4  # inches
-
-
-def write_figure(path: Path, figure: Figure) -> None:
-    """Write a figure as PNG and PDF, with the same layout.
-
-    Args:
-        path: The path without a suffix.
-        figure: Its layout is fixed afterwards.
-    """
-    if engine := figure.get_layout_engine():
-        engine.execute(figure)
-        figure.set_layout_engine(None)  # savefig would compute it again for each file
-    for kind, options in (("png", {"dpi": 110}), ("pdf", {"metadata": {"CreationDate": None}})):
-        file = io.BytesIO()
-        figure.savefig(file, format=kind, **options)
-        write_atomically(path.with_name(f"{path.name}.{kind}"), file.getvalue())
 
 
 def draw_predictions(

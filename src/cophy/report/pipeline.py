@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from cophy.atomic_files import write_atomically
 from cophy.dataset.splits import Split
 from cophy.dataset.states import States
+from cophy.drawing.plots import write_figure
 from cophy.errors import CophyError
 from cophy.report import difficulty, figures, render
 from cophy.report.overview import TWINS_CAPTION, overview_tables, summarize_runs, twin_tables
@@ -21,12 +22,12 @@ from cophy.report.predictions import StoredPredictions, read_stored_predictions
 from cophy.report.runs import DatasetIds, notice, read_runs
 from cophy.report.tables import FilledTable, fill
 from cophy.scenario import Scenario
-from cophy.workers import begin_worker, ending_workers
+from cophy.workers import worker_pool
 
 log = logging.getLogger(__name__)
 
 OVERVIEW = "MSE of the test split, m² (epochs of training × seeds)."
-NUM_PROCESSES = 4  # they write figures, which takes most of the time of a report
+NUM_PROCESSES, MANY_FIGURES = 2, 16  # figures take most of the time of a report; from so many on, processes write them
 MAX_FAILURES = 5  # printed; runs.csv has all
 SUMMARY_COLUMNS = ("run", "seeds", "epochs", "training (s)", "mse", "final position error")  # in the terminal
 
@@ -146,12 +147,6 @@ class Report:
         if len(shares):
             render.show(render.SHARE, shares if self.show_all else render.filled_only(shares))
 
-    def start_figures(self, processes: Executor, directory: Path) -> Iterator[None]:
-        """Start to write all figures as PNG and PDF; the returned iterator yields once per figure that is written."""
-        directory.mkdir(parents=True, exist_ok=True)
-        drawn = dict(self._figures())
-        return processes.map(figures.write_figure, (directory / name for name in drawn), drawn.values())
-
     def write_tables(self, directory: Path) -> None:
         """Write all tables as Markdown, LaTeX and CSV."""
         texts = self._tables()
@@ -177,7 +172,8 @@ class Report:
             **{f"{table.table.id}.csv": table.values.to_csv(index=False) for table in filled},
         }
 
-    def _figures(self) -> Iterator[tuple[str, Figure]]:
+    def figures(self) -> Iterator[tuple[str, Figure]]:
+        """Draw all figures; yield their names, too."""
         for filled in self.filled:
             if filled.values["seeds"].any():
                 yield f"table-{filled.table.id}", figures.draw_bars(filled)
@@ -233,11 +229,14 @@ def write_report(
     if not outputs.is_dir():
         raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there, study.py answers")
     report = Report(outputs, configurations, supplement, show_all=show_all)
-    with ProcessPoolExecutor(NUM_PROCESSES, initializer=begin_worker) as processes, ending_workers():
-        written = report.start_figures(processes, directory / "figures")
+    (directory / "figures").mkdir(parents=True, exist_ok=True)
+    drawn = dict(report.figures())
+    paths = [directory / "figures" / name for name in drawn]
+    with nullcontext() if len(drawn) < MANY_FIGURES else worker_pool(NUM_PROCESSES) as processes:
+        written = (map if processes is None else processes.map)(write_figure, paths, drawn.values())
         report.show()
         report.write_tables(directory)
-        num_figures = len(list(written))
+        list(written)
     unused = f" ({report.unused} more are left out, see above)" if report.unused else ""
     message = "%d runs%s; tables (md, tex, csv), their captions and %d figures (png, pdf) are in\n%s"
-    log.info(message, len(report.runs), unused, num_figures, directory)
+    log.info(message, len(report.runs), unused, len(drawn), directory)

@@ -106,7 +106,7 @@ def share_of_gain(ours: Sequence[Errors], without: Sequence[Errors], with_ab: Se
     return GainShare(gain.sum() / possible.sum(), *interval(Ratio(gain, possible), parts[0][0].pair[:count]))
 
 
-COLUMNS = ("row", "column", "metric", "ours", "sd", "low", "high", "seeds", "failed", "paper")
+CELL_COLUMNS = ("row", "column", "metric", "ours", "sd", "low", "high", "seeds", "failed", "paper")
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def fill(
             numbers, cell_runs = _cell(runs, names, metric, table.scale)
         used.append(cell_runs)
         values.append({"row": row, "column": column, "metric": metric, **numbers, "paper": paper})
-    frame = pd.DataFrame(values, columns=COLUMNS).astype({"paper": float})
+    frame = pd.DataFrame(values, columns=CELL_COLUMNS).astype({"paper": float})
     share, low, high = zip(*_shares(table, frame, used, errors), strict=True)
     frame = frame.assign(best=_best(table, frame), share=share, share_low=low, share_high=high)
     controls = None

@@ -1,15 +1,20 @@
-"""Tables from runs whose numbers are known."""
+"""The paper's tables, filled from runs whose numbers are known; errors and shares of stored predictions."""
 
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from cophy.report.paper_tables import paper_tables
-from cophy.report.predictions import Errors
+from cophy.report.predictions import Errors, stored_errors
 from cophy.report.render import caption, latex, markdown, share_cells, table_cells
-from cophy.report.tables import FilledTable, fill
+from cophy.report.tables import FilledTable, fill, share_of_gain
+from cophy.training.metrics import mean_squared_error
+from cophy.training.predictor import prediction_arrays
+from cophy.training.run import write_predictions
+from cophy.types import Batch, Prediction
 from tests.report.lines import measured, run
 
 TABLES = {table.id: table for table in paper_tables()}
@@ -214,3 +219,29 @@ def test_every_number_of_the_paper_has_a_cell_and_no_other_table() -> None:
     assert TABLES["blocktower"].paper[5][:6] == [0.480, 0.618, 0.342, 0.350, 0.301, 0.297]
     assert TABLES["collision_derendered"].paper[2][5:] == [0.586, None, None]
     assert TABLES["human_comparison_derendered"].paper[0] == [65.41, 25.51, 7.36, 32.76]
+
+
+@pytest.mark.parametrize("variance", [None, 0.25])
+@pytest.mark.parametrize("dims", [2, 3])
+def test_stored_errors_are_the_mse_of_each_experiment(
+    dims: int, variance: float | None, tower_batch: Batch, tmp_path: Path
+) -> None:
+    position = tower_batch.inputs.observed[:, 1:]
+    prediction = Prediction(position, draw_variance=None if variance is None else variance * torch.rand_like(position))
+    write_predictions(tmp_path, prediction_arrays(prediction, tower_batch.targets))
+    found = stored_errors({"directory": tmp_path, "metric_dims": dims})
+    expected = mean_squared_error(dims)(prediction, tower_batch.targets).numpy()
+    np.testing.assert_allclose(found.mse, expected, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(found.pair, np.arange(len(tower_batch)) // 2)
+
+
+def test_a_share_is_of_the_experiments_that_all_were_tested_on() -> None:
+    pairs = np.arange(40) // 2
+    ours = [Errors(np.where(pairs < 10, 2.0, 100.0), pairs, pairs)]
+    without, with_ab = ([Errors(np.full(20, mse), pairs[:20], pairs[:20])] for mse in (5.0, 1.0))
+    assert share_of_gain(ours, without, with_ab) == pytest.approx((0.75, 0.75, 0.75))
+    other_pairs = [Errors(np.full(20, 1.0), pairs[2:22], pairs[2:22])]
+    assert np.isnan(share_of_gain(ours, without, other_pairs).value)
+    other_data = [Errors(np.full(20, 1.0), pairs[:20], pairs[:20] + 0.5)]  # whose pairs have the same numbers
+    assert np.isnan(share_of_gain(ours, without, other_data).value)
+    assert np.isnan(share_of_gain([], without, with_ab).value)
