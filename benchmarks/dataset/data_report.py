@@ -14,8 +14,8 @@ from cophy.audit.checks import share_with_effect, slots_in_order
 from cophy.audit.resimulation import effect_of_double_rate
 from cophy.bootstrap import interval, mean
 from cophy.config import generated_by, settings
-from cophy.dataset.difficulty import twin_differences
-from cophy.dataset.features import stands, to_batch
+from cophy.dataset.difficulty import stands, twin_differences
+from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.models.baselines import CopyB, CopyC
 from cophy.scenario import Simulator
