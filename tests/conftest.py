@@ -4,9 +4,12 @@ import copy
 import functools
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 import torch
@@ -58,13 +61,35 @@ def once_per_session(tmp_path_factory: pytest.TempPathFactory, name: str, make: 
     return directory
 
 
+class ThisProcess:
+    """An executor that runs everything at once in this process."""
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments))
+        return future
+
+
+@contextmanager
+def pool_in_this_process(workers: int, initializer: Callable[..., None], *arguments: Any) -> Iterator[ThisProcess]:
+    initializer(*arguments)
+    yield ThisProcess()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def generation_in_this_process() -> Iterator[None]:
+    """Generate data without worker processes, whose imports take seconds; commands in processes of their own have them."""
+    with mock.patch.object(generation, "worker_pool", pool_in_this_process):
+        yield
+
+
 @pytest.fixture(scope="session")
 def tiny_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data directory with one tiny dataset per scenario."""
 
     def generate(directory: Path) -> None:
         for name in SCENARIOS:
-            generation.ensure(States(tiny_spec(name), directory), workers=2)
+            generation.ensure(States(tiny_spec(name), directory), workers=1)
 
     return once_per_session(tmp_path_factory, "tiny-data", generate)
 

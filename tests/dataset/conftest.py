@@ -1,11 +1,10 @@
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from cophy.dataset.images import Images
 from tests.conftest import once_per_session
-from tests.dataset.copies import SPEC, images, in_this_process
+from tests.dataset.copies import SPEC, images
 
 
 @pytest.fixture(scope="session")
@@ -17,12 +16,4 @@ def finished(tiny_data: Path) -> Path:
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Images:
     """A finished dataset with its images; tests only read it."""
-    with in_this_process():
-        return images(once_per_session(tmp_path_factory, "images", lambda path: images(path).ensure(workers=1)))
-
-
-@pytest.fixture
-def in_process() -> Iterator[None]:
-    """Generate in the process of the test: to start workers takes seconds."""
-    with in_this_process():
-        yield
+    return images(once_per_session(tmp_path_factory, "images", lambda path: images(path).ensure(workers=1)))

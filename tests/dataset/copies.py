@@ -1,13 +1,8 @@
 """A small dataset and its images, to be copied, damaged and generated again."""
 
 import hashlib
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-from unittest import mock
 
 import numpy as np
 
@@ -22,28 +17,6 @@ SPEC = tiny_spec("collision")
 # fewer experiments, because rendering takes long: the test split has two
 IMAGE_SPEC = replace(SPEC, size=Size("tiny", experiments_per_shard=6, num_experiments={"collision": {"2": 12}}))
 RENDER = RenderSettings(list(MODALITIES), 16, Backend.tiny)
-
-
-class ThisProcess:
-    """An executor that runs everything at once in this process."""
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        future: Future[Any] = Future()
-        future.set_result(function(*arguments))
-        return future
-
-
-@contextmanager
-def in_this_process() -> Iterator[None]:
-    """Generate data without worker processes."""
-
-    @contextmanager
-    def pool(workers: int, initializer: Callable[..., None], *arguments: Any) -> Iterator[ThisProcess]:
-        initializer(*arguments)
-        yield ThisProcess()
-
-    with mock.patch.object(generation, "worker_pool", pool):
-        yield
 
 
 def generate(data_dir: Path, workers: int = 1) -> Path:

@@ -12,8 +12,6 @@ from cophy.dataset.images import Images
 from cophy.errors import CophyError
 from tests.dataset.copies import RENDER, MeanColor, copy_images, empty
 
-pytestmark = pytest.mark.usefixtures("in_process")
-
 
 def test_estimates_of_other_pictures_are_made_again(
     rendered: Images, tmp_path: Path, caplog: pytest.LogCaptureFixture

@@ -12,8 +12,6 @@ from cophy.dataset.states import States
 from cophy.errors import CophyError
 from tests.dataset.copies import RENDER, copy_images, empty, images
 
-pytestmark = pytest.mark.usefixtures("in_process")
-
 
 def frames_of(states: States, num_images: int) -> FrameDataModule:
     data = FrameDataModule(

@@ -22,8 +22,6 @@ from tests.conftest import ROOT
 from tests.dataset.copies import IMAGE_SPEC, RENDER, copy_images, digests, empty, images
 from tests.dataset.test_experiment_set import SINGLE, TEST
 
-pytestmark = pytest.mark.usefixtures("in_process")
-
 
 def test_what_is_stored_is_what_was_drawn(rendered: Images) -> None:
     arrays = rendered.states.load()
