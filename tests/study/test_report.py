@@ -104,7 +104,7 @@ def description(data: str) -> str:
 
 
 def test_a_report_without_runs_has_the_tables_of_studies(tmp_path: Path, data: ComposedData) -> None:
-    configurations = Configurations(data.scenario, data.split, data.dataset, data.dataset_ids)
+    configurations = Configurations(data.scenario, data.default_split, data.dataset, data.dataset_ids)
     supplement = Supplement(tables=study_tables([study(rows("stays"))]))
     Report(tmp_path, configurations, supplement, show_all=False).write(tmp_path / "report")
     assert "Human study" in (tmp_path / "report" / "tables.md").read_text()
