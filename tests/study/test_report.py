@@ -15,7 +15,7 @@ from cophy.commands.report import ComposedData
 from cophy.config import generated_by, settings
 from cophy.dataset.states import States
 from cophy.report.paper_tables import paper_tables
-from cophy.report.pipeline import Configurations, Report, Supplement
+from cophy.report.pipeline import Configurations, Supplement, write_report
 from cophy.report.render import Cell, table_cells
 from cophy.report.tables import fill
 from cophy.study.answers import SCHEMA, AnswerStore
@@ -106,7 +106,7 @@ def description(data: str) -> str:
 def test_a_report_without_runs_has_the_tables_of_studies(tmp_path: Path, data: ComposedData) -> None:
     configurations = Configurations(data.scenario, data.default_split, data.dataset, data.dataset_ids)
     supplement = Supplement(tables=study_tables([study(rows("stays"))]))
-    Report(tmp_path, configurations, supplement, show_all=False).write(tmp_path / "report")
+    write_report(tmp_path, tmp_path / "report", configurations, supplement, show_all=False)
     assert "Human study" in (tmp_path / "report" / "tables.md").read_text()
 
 
