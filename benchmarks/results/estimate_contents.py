@@ -31,7 +31,7 @@ from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.dataset.source import generated_sets
 from cophy.schemas import SCENARIOS, register
 from cophy.training.metrics import mean_squared_error
-from cophy.training.probe import estimate_confounders
+from cophy.training.probe import collect_estimates
 from cophy.training.trained import TrainedPredictor
 from cophy.types import Batch
 
@@ -104,7 +104,7 @@ def blurred(network: nn.Module, test: Batch) -> Table:
 
 def _from_bottom_to_top(network: nn.Module, batch: Batch) -> Blocks:
     inputs = batch.inputs
-    u = estimate_confounders(network, inputs, batch_size=256)
+    u = collect_estimates(network, inputs, batch_size=256)
     assert u is not None, "this model makes no estimate U"
     height = inputs.observed[:, 0, :, 2].masked_fill(~inputs.observed_presence, torch.inf)
     order = height.argsort(dim=1)[:, :NUM_BLOCKS, None]

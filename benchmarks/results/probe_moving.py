@@ -19,7 +19,7 @@ from cophy.config import settings
 from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.dataset.source import generated_sets
 from cophy.schemas import SCENARIOS, register
-from cophy.training.probe import Probed, estimate_confounders, probe
+from cophy.training.probe import Probed, collect_estimates, probe
 from cophy.training.trained import TrainedPredictor
 from cophy.types import Batch
 
@@ -50,7 +50,7 @@ def main(checkpoint: Path, data_dir: Path) -> None:
 
 def of_each_kind(predictor: TrainedPredictor, batch: Batch) -> dict[str, Probed]:
     """U, and the truth about all objects, those that move at the start of AB, and those at rest."""
-    u = estimate_confounders(predictor.network, batch.inputs, batch_size=256)
+    u = collect_estimates(predictor.network, batch.inputs, batch_size=256)
     assert u is not None, "this model makes no estimate U"
     presence = batch.targets.observed_presence
     gone = (batch.inputs.observed[:, 1] - batch.inputs.observed[:, 0]).norm(dim=-1).masked_fill(~presence, -1.0)

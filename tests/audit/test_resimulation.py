@@ -9,7 +9,7 @@ import pytest
 from cophy.audit.checks import check_states, check_towers, check_twins, slots_in_order
 from cophy.audit.resimulation import _check_share, check_convergence, check_identifiability, check_resimulation
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import States, do_operation_of, scene_of, to_arrays
+from cophy.dataset.states import States, build_scene, do_operation_of, to_arrays
 from cophy.scenario import Simulator
 from tests.audit.failing import failing
 from tests.conftest import tiny_spec
@@ -108,7 +108,7 @@ def test_an_ab_that_reveals_nothing_fails(few_configurations: DatasetSpec, first
     arrays["do_slot"] = arrays["object_index"].argmax(axis=1)
     arrays["do_offset"] = np.tile(np.float32([0.47, 0.47, 0.0]), (2, 1))
     for row in range(2):
-        scene = scene_of(arrays, row, few_configurations.scenario)
+        scene = build_scene(arrays, row, few_configurations.scenario)
         after = do_operation_of(arrays, row, few_configurations.scenario).apply(scene)
         with Simulator() as simulator:
             arrays["states"][row, 1] = few_configurations.scenario.simulate(simulator, after).states

@@ -173,7 +173,7 @@ MISTAKES = {
     f"predictor={ROOT}/checkpoints/balls_4to4_in.ckpt": "belongs to another training (scenario=balls, size=paper, ",
     "predictor=a.ckpt ckpt=b.ckpt": "give one of them",
     "predictor=a.ckpt model=oracle_feedforward": "predictor=a.ckpt: oracle_feedforward has nothing to train",
-    "predictor=a.ckpt model=derenderer": "predictor=a.ckpt: derenderer predicts nothing",
+    "predictor=a.ckpt model=derenderer": "predictor=a.ckpt: this is for predictors of D, and model=derenderer is a de-renderer",
     "logger=wandb": "logger=wandb needs another package: ",
     "optimizer=adma": "optimizer=adma does not exist (did you mean adam?); there are adam, adamw, soap",
     "training.optimizer._target_=torch.optim.Adan": "Are you sure that 'Adan' is importable",

@@ -16,8 +16,8 @@ from cophy.dataset.datamodules import (
     CounterfactualDataset,
     DeviceShare,
     EpochBatches,
-    in_order,
-    shuffled,
+    ordered_batches,
+    shuffled_batches,
 )
 from cophy.dataset.estimates import Estimates
 from cophy.dataset.features import to_batch
@@ -39,26 +39,26 @@ def epoch_of(batches: EpochBatches, epoch: int) -> list[list[int]]:
 
 
 def test_an_epoch_has_an_order_of_its_own_that_comes_again() -> None:
-    first, again = (epoch_of(shuffled(ITEMS, 8, seed=1, share=ONE_DEVICE), 3) for _ in range(2))
+    first, again = (epoch_of(shuffled_batches(ITEMS, 8, seed=1, share=ONE_DEVICE), 3) for _ in range(2))
     assert first == again
     assert sorted(chain(*first)) == list(range(22))
     assert [len(batch) for batch in first] == [8, 8, 6]
-    assert epoch_of(shuffled(ITEMS, 8, seed=1, share=ONE_DEVICE), 4) != first
-    assert epoch_of(shuffled(ITEMS, 8, seed=2, share=ONE_DEVICE), 3) != first
+    assert epoch_of(shuffled_batches(ITEMS, 8, seed=1, share=ONE_DEVICE), 4) != first
+    assert epoch_of(shuffled_batches(ITEMS, 8, seed=2, share=ONE_DEVICE), 3) != first
 
 
 def test_devices_share_the_batches_of_one() -> None:
-    whole = epoch_of(shuffled(ITEMS, 8, seed=1, share=ONE_DEVICE), 2)
-    shares = [epoch_of(shuffled(ITEMS, 8, seed=1, share=DeviceShare(2, rank)), 2) for rank in range(2)]
+    whole = epoch_of(shuffled_batches(ITEMS, 8, seed=1, share=ONE_DEVICE), 2)
+    shares = [epoch_of(shuffled_batches(ITEMS, 8, seed=1, share=DeviceShare(2, rank)), 2) for rank in range(2)]
     assert [[batch[rank::2] for batch in whole] for rank in range(2)] == shares
     with pytest.raises(CophyError, match="cannot be shared by 3 devices"):
-        shuffled(ITEMS, 8, seed=1, share=DeviceShare(3, 0))
+        shuffled_batches(ITEMS, 8, seed=1, share=DeviceShare(3, 0))
 
 
 @pytest.mark.parametrize("devices", [1, 2, 3, 4])
 @pytest.mark.parametrize("groups", [np.repeat(np.arange(11), 2), np.arange(22), np.repeat([3, 4, 5, 6], [2, 1, 2, 17])])
 def test_in_order_every_item_is_met_once_and_twins_together(groups: np.ndarray, devices: int) -> None:
-    shares = [in_order(groups, 4, DeviceShare(devices, rank)) for rank in range(devices)]
+    shares = [ordered_batches(groups, 4, DeviceShare(devices, rank)) for rank in range(devices)]
     batches = list(chain(*shares))
     assert list(chain(*batches)) == list(range(22))
     assert all(batches)
@@ -69,7 +69,7 @@ def test_in_order_every_item_is_met_once_and_twins_together(groups: np.ndarray, 
 
 def test_fewer_groups_than_devices_are_refused() -> None:
     with pytest.raises(CophyError, match="cannot be shared by 3 devices"):
-        in_order(np.repeat([0, 1], 2), 4, DeviceShare(3, 0))
+        ordered_batches(np.repeat([0, 1], 2), 4, DeviceShare(3, 0))
 
 
 def test_a_loader_visits_every_experiment_once(tiny) -> None:

@@ -22,7 +22,7 @@ def test_estimates_of_other_pictures_are_made_again(
     copied.directory.joinpath("manifest.json").write_text(
         rendered.directory.joinpath("manifest.json").read_text().replace(copied.checksums()["shard-00001.h5"], "0" * 64)
     )
-    with pytest.raises(CophyError, match=r"shard-00001\.h5 is damaged \(it is of other data: its images_sha256"):
+    with pytest.raises(CophyError, match=r"shard-00001\.h5 is damaged \(it belongs to other data: its images_sha256"):
         estimates.load()
     empty(copied.directory)
     assert estimates.load()["position"].shape == (12, 2, 15, 4, 3)  # pictures may go once they were seen

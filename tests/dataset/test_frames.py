@@ -56,7 +56,7 @@ def test_images_of_other_states_are_not_read(rendered: Images, tmp_path: Path) -
     with h5py.File(copied.path(0), "r+") as file:
         file.attrs["states_sha256"] = "0" * 64
     frames = FrameDataset([(copied, copied.states.load())], split="train", resolution=16)
-    with pytest.raises(CophyError, match=r"shard-00000\.h5 is damaged \(it is of other data: its states_sha256"):
+    with pytest.raises(CophyError, match=r"shard-00000\.h5 is damaged \(it belongs to other data: its states_sha256"):
         frames[0]
 
 

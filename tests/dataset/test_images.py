@@ -80,7 +80,7 @@ def test_a_pixel_that_was_changed_is_not_read(rendered: Images, tmp_path: Path) 
     copied.path(0).write_bytes(content)
     with (
         pytest.raises(CophyError, match=r"shard-00000\.h5 is damaged .* render=all .* render\.resolution=16"),
-        copied.explained(0),
+        copied.report_damage(0),
     ):
         h5py.File(copied.path(0), "r")["rgb"][0, 0, 0]
 
@@ -93,7 +93,7 @@ def test_pictures_of_other_states_are_drawn_again(
     with h5py.File(copied.path(0), "r+") as file:
         file.attrs["states_sha256"] = "0" * 64
     generation.make(copied, workers=1)
-    assert "shard-00000.h5 is damaged (it is of other data: its states_sha256" in caplog.text
+    assert "shard-00000.h5 is damaged (it belongs to other data: its states_sha256" in caplog.text
 
 
 def test_rgb_that_another_set_holds_is_not_rendered_again(rendered: Images, tmp_path: Path) -> None:

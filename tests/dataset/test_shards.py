@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from cophy.dataset.shards import MANIFEST, DamagedShardError, Field, creating, encode, open_for_reading, reading
+from cophy.dataset.shards import MANIFEST, DamagedShardError, Field, create_file, encode, open_file, open_for_reading
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from tests.dataset.copies import SPEC, copy
@@ -42,7 +42,7 @@ def test_a_file_without_the_expected_arrays_is_damaged(tmp_path: Path, fault: st
                 h5py.h5d.create(file.id, b"mass", UNKNOWN, h5py.h5s.create_simple((2, 4)))
     with (
         pytest.raises(DamagedShardError, match=r"truncated|mass|not a regular file|No NumPy equivalent"),
-        reading(path, FIELDS, {}),
+        open_file(path, FIELDS, {}),
     ):
         pass
 
@@ -52,24 +52,24 @@ def test_arrays_have_their_own_names_in_files(tmp_path: Path) -> None:
     path.write_bytes(encode(ARRAYS, FIELDS, {}))
     with h5py.File(path) as file:
         assert set(file) == {"mass", "cell"}
-    with reading(path, FIELDS, {}) as stored:
+    with open_file(path, FIELDS, {}) as stored:
         for name, array in ARRAYS.items():
             np.testing.assert_array_equal(stored[name][()], array)
 
 
 def test_a_file_of_other_data_is_damaged(tmp_path: Path) -> None:
     path = tmp_path / "shard.h5"
-    with creating(path, FIELDS, {"states_sha256": "a"}) as stored:
+    with create_file(path, FIELDS, {"states_sha256": "a"}) as stored:
         stored["mass"][:] = ARRAYS["mass"]
-    with reading(path, FIELDS, {"states_sha256": "a", "images_sha256": "b"}) as stored:
+    with open_file(path, FIELDS, {"states_sha256": "a", "images_sha256": "b"}) as stored:
         np.testing.assert_array_equal(stored["mass"][()], ARRAYS["mass"])
-    message = "it is of other data: its states_sha256 is a, not b"
-    with pytest.raises(DamagedShardError, match=message), reading(path, FIELDS, {"states_sha256": "b"}):
+    message = "it belongs to other data: its states_sha256 is a, not b"
+    with pytest.raises(DamagedShardError, match=message), open_file(path, FIELDS, {"states_sha256": "b"}):
         pass
     for spoil in (lambda file: file.attrs.update(states_sha256=["a", "a"]), with_unknown_attribute):
         with h5py.File(path, "r+") as file:
             spoil(file)
-        with pytest.raises(DamagedShardError), reading(path, FIELDS, {"states_sha256": "a"}):
+        with pytest.raises(DamagedShardError), open_file(path, FIELDS, {"states_sha256": "a"}):
             pass
 
 
@@ -85,7 +85,7 @@ def test_an_error_of_the_operating_system_is_not_damage(tmp_path: Path, monkeypa
     path = tmp_path / "shard.h5"
     path.write_bytes(encode(ARRAYS, FIELDS, {}))
     monkeypatch.setattr(h5py, "File", fail)
-    with pytest.raises(OSError, match=os.strerror(errno.EACCES)), reading(path, FIELDS, {}):
+    with pytest.raises(OSError, match=os.strerror(errno.EACCES)), open_file(path, FIELDS, {}):
         pass
 
 
@@ -93,7 +93,7 @@ def test_an_error_of_the_operating_system_is_not_damage(tmp_path: Path, monkeypa
 def test_a_file_that_is_not_hdf5_is_damaged(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "shard.h5"
     path.write_bytes(content)
-    with pytest.raises(DamagedShardError), reading(path, FIELDS, {}):
+    with pytest.raises(DamagedShardError), open_file(path, FIELDS, {}):
         pass
 
 

@@ -35,9 +35,9 @@ def test_a_split_of_another_scenario_is_refused() -> None:
 def test_only_the_same_size_and_data_seed_leave_test_experiments_unseen() -> None:
     (states,) = generated_sets(**chosen(), data_seed=3, data_dir=Path("data"))
     size = states.spec.size.num_experiments
-    assert states.unseen_by(num_experiments=size, data_seed=3, trained_on=[])
-    assert not states.unseen_by(num_experiments=size, data_seed=4, trained_on=[states.id])
-    assert not states.unseen_by(num_experiments={"balls": {"4": 400}}, data_seed=3, trained_on=[states.id])
+    assert states.has_same_splits(num_experiments=size, data_seed=3, trained_on=[])
+    assert not states.has_same_splits(num_experiments=size, data_seed=4, trained_on=[states.id])
+    assert not states.has_same_splits(num_experiments={"balls": {"4": 400}}, data_seed=3, trained_on=[states.id])
 
 
 def test_the_command_of_another_script_is_about_the_same_dataset() -> None:

@@ -7,7 +7,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from cophy.dataset.states import do_operation_of, scene_of
+from cophy.dataset.states import build_scene, do_operation_of
 from cophy.errors import CophyError
 from cophy.oracles.posterior import ConfigurationSearch, Hypotheses, posterior, resample
 from cophy.scenario import Experiment, Scenario, Scene, Simulator, Trajectory
@@ -183,7 +183,7 @@ def test_what_is_impossible_is_not_tried(searched) -> None:
 
 def asked(tiny, row: int = 0) -> tuple:
     spec, arrays = tiny
-    return spec.scenario, scene_of(arrays, row, spec.scenario), do_operation_of(arrays, row, spec.scenario)
+    return spec.scenario, build_scene(arrays, row, spec.scenario), do_operation_of(arrays, row, spec.scenario)
 
 
 def at_start(hypotheses) -> np.ndarray:

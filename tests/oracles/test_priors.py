@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.dataset.states import States, do_operation_of, scene_of
+from cophy.dataset.states import States, build_scene, do_operation_of
 from cophy.errors import CophyError
 from cophy.oracles.posterior import posterior, resample
 from cophy.oracles.priors import configuration_prior, velocity_inference
@@ -28,7 +28,7 @@ def towers(tiny_data: Path) -> tuple[Blocktower, dict[str, np.ndarray]]:
 def test_half_of_what_the_search_makes_of_a_tower_stands(towers) -> None:
     scenario, arrays = towers
     for row in range(0, 12, 2):
-        scene, do_operation = scene_of(arrays, row, scenario), do_operation_of(arrays, row, scenario)
+        scene, do_operation = build_scene(arrays, row, scenario), do_operation_of(arrays, row, scenario)
         prior = configuration_prior(scenario, scene, do_operation)
         assert prior.shape == (scenario.confounders.num_configurations(3),)
         assert prior.sum() == pytest.approx(1.0)
@@ -44,7 +44,9 @@ def test_the_prior_knows_stored_towers(towers) -> None:
     gain = [
         np.log(
             uniform
-            * configuration_prior(scenario, scene_of(arrays, row, scenario), do_operation_of(arrays, row, scenario))[c]
+            * configuration_prior(scenario, build_scene(arrays, row, scenario), do_operation_of(arrays, row, scenario))[
+                c
+            ]
         )
         for row, c in enumerate(arrays["configuration"])
     ]

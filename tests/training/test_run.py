@@ -39,7 +39,7 @@ def test_a_run_deletes_its_earlier_results_when_it_begins(run: Run) -> None:
         finish(run)
     with run.locked():
         assert (run.directory / "metrics.json").exists()
-        run.begin()
+        run.delete_earlier_results()
         assert not (run.directory / "metrics.json").exists()
 
 

@@ -15,7 +15,7 @@ from cophy.dataset.difficulty import in_place, mean_distance, stands, twin_diffe
 from cophy.dataset.shards import Arrays, Sharded
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import split_of_experiments
-from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, do_operation_of, scene_of, trajectories_of, visible_axis
+from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, build_scene, do_operation_of, trajectories_of, visible_axis
 from cophy.scenario import Scenario, Shape
 from cophy.scenario.assignment import canonical_problems
 from cophy.scenario.physics import Scene, largest_energy_gain
@@ -146,7 +146,7 @@ def _check_energy(arrays: Arrays, spec: DatasetSpec) -> Check:
 
 def scenes_of(arrays: Arrays, row: int, scenario: Scenario) -> tuple[Scene, Scene]:
     """Return the stored A and C of an experiment, with its confounders."""
-    scene = scene_of(arrays, row, scenario)
+    scene = build_scene(arrays, row, scenario)
     return scene, do_operation_of(arrays, row, scenario).apply(scene)
 
 

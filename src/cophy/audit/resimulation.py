@@ -15,7 +15,7 @@ from tqdm import tqdm
 from cophy.audit.checks import Check, scenes_of, three_sigma
 from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import do_operation_of, scene_of, to_arrays, trajectories_of
+from cophy.dataset.states import build_scene, do_operation_of, to_arrays, trajectories_of
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.physics import Scene, Trajectory, trajectory_distance
 from cophy.scenario.statics import Combinations
@@ -130,7 +130,7 @@ def _agreements(
 ) -> Iterator[tuple[bool, bool]]:
     """Yield, for both twins, whether all configurations with the same AB agree on whether CD stands, and on its trajectory."""
     scenario, rows, grid = spec.scenario, (2 * pair, 2 * pair + 1), spec.scenario.confounders
-    scene = scene_of(arrays, rows[0], scenario)
+    scene = build_scene(arrays, rows[0], scenario)
     true = arrays["configuration"][list(rows)].tolist()
     if enumerated:
         candidates = np.arange(grid.num_configurations(spec.num_objects))

@@ -17,7 +17,7 @@ from cophy.config import experiments_of, to_config, to_plain, variant
 from cophy.dataset.source import GENERATED
 from cophy.errors import CophyError
 from cophy.schemas import ESTIMATED, TrainConfig, register
-from cophy.training.run import Run, is_first
+from cophy.training.run import Run, is_rank_zero
 
 if TYPE_CHECKING:  # --help must not import torch and Lightning, which takes seconds
     from lightning import Trainer
@@ -38,26 +38,26 @@ if not {"--help", "-h"} & set(sys.argv):  # the schemas of models import torch, 
 def main(cfg: DictConfig) -> float:
     from cophy.report.run_summary import show_results
 
-    run, plain, hydra_config = run_of(cfg), to_plain(cfg), HydraConfig.get()
+    run, plain, hydra_config = make_run(cfg), to_plain(cfg), HydraConfig.get()
     in_parallel = hydra_config.runtime.choices["hydra/launcher"] != "basic"
     if in_parallel:  # progress bars would overwrite each other
         plain["trainer"] |= {"enable_progress_bar": False, "enable_model_summary": False}
     try:
         with run.locked(tests_checkpoint=cfg.predictor is not None):
-            config = to_config(cfg, TrainConfig)
+            config = to_config(cfg, TrainConfig)  # inside the lock, so that an invalid value also leaves failure.json
             validation = train(config, plain, run)
     except Exception as error:
         if hydra_config.mode is RunMode.MULTIRUN:  # the sweep continues; Hydra names only the first failed run
             log.error("%s failed: %s", run.place, error, exc_info=not cli.is_user_error(error))
         raise
-    if is_first() and not in_parallel and not config.trainer.fast_dev_run:
+    if is_rank_zero() and not in_parallel and not config.trainer.fast_dev_run:
         show_results(run)
     if validation and cfg.optimized_metric not in validation:
         raise CophyError(f"optimized_metric={cfg.optimized_metric} is not among {', '.join(sorted(validation))}")
     return validation.get(cfg.optimized_metric, math.nan)
 
 
-def run_of(cfg: DictConfig) -> Run:
+def make_run(cfg: DictConfig) -> Run:
     """Return the names and directory of the run that a configuration describes."""
     choices = HydraConfig.get().runtime.choices
     return Run(
@@ -75,12 +75,11 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
 
     Args:
         config: The resolved configuration.
-        plain: The same as plain values.
+        plain: The same configuration as nested dicts; its `trainer` holds the arguments of `lightning.Trainer`.
         run: Names and directory.
 
     Returns:
-        The validation metrics of the epoch whose weights were tested; empty after a trial (trainer.fast_dev_run) and for
-        models without training.
+        Validation metrics of the tested weights; empty with trainer.fast_dev_run and for models without parameters.
     """
     import lightning as L
     import torch
@@ -90,7 +89,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     from cophy.training.trainer import finishing, fit, log_results, make_trainer, prepare_loggers, start_processes
 
     start_time = time.monotonic()
-    if not is_first():  # the first process writes the log
+    if not is_rank_zero():  # the first process writes the log
         logging.getLogger("cophy").setLevel(logging.WARNING)
     torch.set_num_threads(config.threads)
     L.seed_everything(config.seed, workers=True, verbose=False)
@@ -109,7 +108,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
         data.prepare_data()
         data.setup()
         start_processes(trainer, module)
-        training = fingerprint(
+        training_hash = fingerprint(
             origin,
             max_epochs=arguments["max_epochs"],
             threads=config.threads,
@@ -118,26 +117,27 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
             resumed_from=path_of(config.ckpt),
         )
         if not config.trainer.fast_dev_run:
-            run.begin()
-        start = find_start(config, run, training, trainer, network)
-        trains = start.finished is None
-        prepare_loggers(trainer, run, origin, arguments, keeps_curves=start.keeps_curves, trains=trains)
+            run.delete_earlier_results()
+        start = find_start(config, run, training_hash, trainer, network)
+        prepare_loggers(trainer, run, origin, arguments, start)
 
         if start.finished is None:
             facts = fit(trainer, module, data, start.checkpoint) | {"resumed": start.resumed}
-            best = None if config.trainer.fast_dev_run else run.checkpoints / "best.ckpt"
-            if best is not None and is_first():
-                record_finished(run, training, facts)
+            tested = None if config.trainer.fast_dev_run else run.checkpoints / "best.ckpt"
+            if tested is not None and is_rank_zero():
+                record_finished(run, training_hash, facts)
         else:
-            facts, best = start.finished, start.checkpoint
-            validation = trainer.validate(module, data, ckpt_path=best, weights_only=True, verbose=False)
+            facts, tested = start.finished, start.checkpoint
+            validation = trainer.validate(
+                module, data, ckpt_path=tested, weights_only=True, verbose=False
+            )  # draws, too
             if config.predictor is not None:
                 facts["validation"] = dict(*validation)
-        trainer.test(module, data, ckpt_path=best, weights_only=True, verbose=False)
+        trainer.test(module, data, ckpt_path=tested, weights_only=True, verbose=False)
 
         if config.trainer.fast_dev_run:
             return {}
-        if is_first():
+        if is_rank_zero():
             results = module.results(data)
             derenderer, predictor = getattr(data, "derenderer", None), path_of(config.predictor)
             facts |= {
@@ -154,14 +154,16 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     return facts["validation"]
 
 
-def find_start(config: TrainConfig, run: Run, training: str, trainer: "Trainer", network: "nn.Module") -> "Start":
-    """Decide whether a run trains, resumes, or only tests: a model without parameters, predictor=, a finished training.
+def find_start(config: TrainConfig, run: Run, training_hash: str, trainer: "Trainer", network: "nn.Module") -> "Start":
+    """Decide whether a run trains, resumes, or only tests.
+
+    It only tests if the model has no parameters, predictor= is set, or the same training has finished.
 
     Args:
         config: The configuration.
         run: The run.
-        training: Fingerprint of its training.
-        trainer: Its first process decides for all.
+        training_hash: Fingerprint of its training.
+        trainer: Rank 0 decides for all processes.
         network: The model.
     """
     from cophy.training.reuse import Start, start_training
@@ -172,7 +174,7 @@ def find_start(config: TrainConfig, run: Run, training: str, trainer: "Trainer",
     if config.trainer.fast_dev_run:
         return Start(None, path_of(config.ckpt), keeps_curves=True)
     reuse = config.reuse or was_requeued()
-    return decide_first(trainer, lambda: start_training(run, training, reuse=reuse, ckpt=path_of(config.ckpt)))
+    return decide_first(trainer, lambda: start_training(run, training_hash, reuse=reuse, ckpt=path_of(config.ckpt)))
 
 
 def check_checkpoints(config: TrainConfig, origin: dict[str, Any], network: "nn.Module", name: str) -> None:
@@ -186,7 +188,7 @@ def check_checkpoints(config: TrainConfig, origin: dict[str, Any], network: "nn.
         if value is not None and not is_trainable(network):
             raise CophyError(f"{key}={value}: {name} has nothing to train")
     if predictor is not None and isinstance(network, Derenderer):
-        raise CophyError(f"predictor={predictor}: {name} predicts nothing")
+        raise CophyError(f"predictor={predictor}: this is for predictors of D, and model={name} is a de-renderer")
     if ckpt is not None:
         check_resumable(ckpt, origin, network)
     if predictor is not None:
@@ -199,7 +201,7 @@ def path_of(value: str | None) -> Path | None:
 
 
 def make_module(network: "nn.Module", config: TrainConfig) -> "PredictionModule | DerenderingModule":
-    """Wrap a network in the Lightning module that trains and tests it; an oracle names its own."""
+    """Wrap a network in the Lightning module that trains and tests it: its `module_class`, if it has one, as oracles do."""
     from cophy.models.derenderer import Derenderer
     from cophy.training import DerenderingModule, PredictionModule
 
@@ -215,7 +217,7 @@ def is_trainable(network: "nn.Module") -> bool:
 
 
 def num_epochs(config: TrainConfig, network: "nn.Module") -> int:
-    """Return the epochs of the training: some splits train predictors on half of the data for twice as many."""
+    """Return the epochs of the training; splits that train on half of the data take twice as many (`epochs_factor`)."""
     from cophy.models.derenderer import Derenderer
 
     factor = 1 if isinstance(network, Derenderer) else config.split.epochs_factor
@@ -248,8 +250,8 @@ def make_datamodule(
     learns_confounders = config.training.confounder_weight > 0
     if learns_confounders and "train" in estimated:
         raise CophyError(
-            f"positions={config.positions} does not go with training.confounder_weight: true confounders belong to true "
-            "objects"
+            f"positions={config.positions} does not go with training.confounder_weight: true confounders cannot be "
+            "matched to estimated objects; use positions=ground_truth"
         )
     if estimated and (keys := not_derendered(declared)):
         raise CophyError(f"positions={config.positions} does not go with {keys}: no de-renderer estimates it")
@@ -265,7 +267,7 @@ def make_datamodule(
         batch_size=config.training.batch_size,
         workers=config.workers,
         seed=config.seed,
-        derenderer=find_derenderer_of(config, run) if estimated else None,
+        derenderer=configured_derenderer(config, run) if estimated else None,
         estimated=estimated,
         declared=declared,
         needs_confounders="confounders" in declared or learns_confounders,
@@ -273,7 +275,7 @@ def make_datamodule(
     )
 
 
-def find_derenderer_of(config: TrainConfig, run: Run) -> "TrainedDerenderer":
+def configured_derenderer(config: TrainConfig, run: Run) -> "TrainedDerenderer":
     """Return the de-renderer that `derenderer` names, or the one among the runs that was trained on these data."""
     from cophy.training.trained import TrainedDerenderer, find_derenderer
 

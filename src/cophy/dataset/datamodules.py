@@ -19,7 +19,7 @@ from torch.utils.data import BatchSampler, DataLoader, Dataset, DistributedSampl
 
 from cophy.dataset import generation
 from cophy.dataset.estimates import DerendererProtocol, Estimates
-from cophy.dataset.experiment_set import INPUTS, TEST_INPUTS, ExperimentSet, FrameSource, Pictures
+from cophy.dataset.experiment_set import INPUTS, TEST_INPUTS, ExperimentSet, FrameSource, ReadImages
 from cophy.dataset.features import confounder_features, confounder_statistics, reduce_to_frames, to_batch
 from cophy.dataset.shards import Arrays
 from cophy.dataset.splits import SPLITS, Split
@@ -52,8 +52,8 @@ class EpochBatches(BatchSampler):
         self.sampler.set_epoch(epoch)
 
 
-def shuffled(dataset: Dataset, batch_size: int, *, seed: int, share: DeviceShare) -> EpochBatches:
-    """Return batches with each item once per epoch; with several devices a few items twice, so that all get equally many.
+def shuffled_batches(dataset: Dataset, batch_size: int, *, seed: int, share: DeviceShare) -> EpochBatches:
+    """Return batches with each item once per epoch. With several devices, some items are repeated so that all get equally many.
 
     Args:
         dataset: Dataset of the items.
@@ -72,8 +72,8 @@ def shuffled(dataset: Dataset, batch_size: int, *, seed: int, share: DeviceShare
     return EpochBatches(order, batch_size // share.devices, drop_last=False)
 
 
-def in_order(groups: np.ndarray, batch_size: int, share: DeviceShare) -> list[list[int]]:
-    """Return this device's batches of all items, none twice: whole groups in order, equally many batches on each device.
+def ordered_batches(groups: np.ndarray, batch_size: int, share: DeviceShare) -> list[list[int]]:
+    """Return this device's batches in order. No item is repeated and no group split; all devices have equally many batches.
 
     Args:
         groups: (item,) equal for consecutive items that stay in one batch, such as twins.
@@ -95,7 +95,7 @@ def in_order(groups: np.ndarray, batch_size: int, share: DeviceShare) -> list[li
 
 
 class CounterfactualDataset(Dataset[Batch]):
-    """Experiments in memory. An index is a list of experiments and an item their `Batch`: slices need no worker processes."""
+    """Experiments in memory: indexing with a list of experiments returns a `Batch`, so no worker processes are needed."""
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
@@ -107,12 +107,12 @@ class CounterfactualDataset(Dataset[Batch]):
         return take(self.batch, indices)
 
     def shuffled(self, batch_size: int, *, seed: int = 0, share: DeviceShare = ONE_DEVICE) -> DataLoader[Batch]:
-        """Return batches for training, see `shuffled`."""
-        return DataLoader(self, sampler=shuffled(self, batch_size, seed=seed, share=share), batch_size=None)
+        """Return batches for training, see `shuffled_batches`."""
+        return DataLoader(self, sampler=shuffled_batches(self, batch_size, seed=seed, share=share), batch_size=None)
 
     def in_order(self, batch_size: int, *, share: DeviceShare = ONE_DEVICE) -> DataLoader[Batch]:
-        """Return all experiments in order, twins in one batch, see `in_order`."""
-        batches = in_order(self.batch.targets.pair.numpy(), batch_size, share)
+        """Return all experiments in order, twins in one batch, see `ordered_batches`."""
+        batches = ordered_batches(self.batch.targets.pair.numpy(), batch_size, share)
         return DataLoader(self, sampler=batches, batch_size=None)
 
 
@@ -199,7 +199,10 @@ class CounterfactualDataModule(L.LightningDataModule):
             return
         stored = {experiments.id: self._load(experiments) for experiments in (self.train_set, self.test_set)}
         rows = {split: self._rows(stored, split) for split in SPLITS}
-        arrays = {split: {n: a[rows[split]] for n, a in stored[self._set_of(split).id].items()} for split in SPLITS}
+        arrays = {
+            split: {name: array[rows[split]] for name, array in stored[self._set_of(split).id].items()}
+            for split in SPLITS
+        }
         features = {split: confounder_features(arrays[split]) for split in SPLITS}
         self.knows_confounders = not any(values.isnan().any() for values in features.values())
         if self.needs_confounders and not self.knows_confounders:
@@ -254,7 +257,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         if "clip" in arrays and not arrays["clip"].all():
             missing = (~arrays["clip"].all(axis=1)).sum()
             raise CophyError(f"{missing} experiments of {experiments.id} have no RGB clips to estimate positions from")
-        rows = arrays.get("experiment", slice(None))
+        rows = arrays.get("experiment", slice(None))  # released data: estimates of all, arrays of the listed ones
         return arrays | {name: array[rows] for name, array in estimates.best_available().load().items()}
 
 
@@ -297,7 +300,7 @@ class ExperimentDataset(Dataset[dict[str, Tensor]]):
         self._title = experiments.title
         self._frames, self._modalities = frames, tuple(modalities)
         self._places = {name: arrays[name] for name in ("experiment", "clip") if name in arrays}
-        self._read_images: Pictures | None = None  # with open files, so every process has its own
+        self._read_images: ReadImages | None = None  # with open files, so every process has its own
 
     def __len__(self) -> int:
         return len(self.rows)

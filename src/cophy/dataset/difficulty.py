@@ -35,8 +35,8 @@ def further_than_twin(arrays: Arrays) -> np.ndarray:
     """Return whether objects move further, on average, than under the twin's confounders, (experiment, sequence)."""
     moved = objects_distance(arrays)
     _, pair = np.unique(arrays["twin"], return_inverse=True)
-    of_pair = np.stack([np.bincount(pair, weights=m)[pair] / np.bincount(pair)[pair] for m in moved.T], axis=1)
-    return np.asarray(moved > of_pair)
+    pair_mean = np.stack([np.bincount(pair, weights=m)[pair] / np.bincount(pair)[pair] for m in moved.T], axis=1)
+    return np.asarray(moved > pair_mean)
 
 
 def _from_start(arrays: Arrays) -> np.ndarray:
@@ -52,8 +52,8 @@ def difficulty(arrays: Arrays, spec: DatasetSpec) -> Arrays:
     - displacement: distance by which the do-operation moves its object, metres; NaN if it removes one.
     - observed_difference, counterfactual_difference: distance of AB, or CD, from the twin's, metres. A small observed one
       makes the confounders hard to tell; a small counterfactual one makes them matter little.
-    - observed_margin, counterfactual_margin (towers): by statics under the true confounders, the distance of the centre of
-      mass of A, or C, from where the tower's outcome changes, metres (for a tower that falls, a lower bound); small is hard.
+    - observed_margin, counterfactual_margin (towers): by statics under the true confounders, distance of the centre of
+      mass of A, or C, from the tipping point, metres. For falling towers it is a lower bound. Small values are hard.
     """
     removed = arrays["presence"][:, 0].sum(axis=1) > arrays["presence"][:, 1].sum(axis=1)
     observed, counterfactual = np.repeat(twin_differences(arrays), 2, axis=0).T
@@ -103,6 +103,6 @@ def true_margins(arrays: Arrays, spec: DatasetSpec) -> np.ndarray:
             confounders, index = np.unique(np.hstack([mass[rows, :k], tilt[rows]]), axis=0, return_inverse=True)
             blocks = xy[rows, sequence, :k], yaw[rows, sequence, :k]
             size_m = spec.scenario.object_size_m
-            of_all = joint_margins(*blocks, confounders[:, :k], confounders[:, k:], size_m=size_m).min(axis=-1)
-            margins[rows, sequence] = of_all[np.arange(len(rows)), index]
+            margins_of_all = joint_margins(*blocks, confounders[:, :k], confounders[:, k:], size_m=size_m).min(axis=-1)
+            margins[rows, sequence] = margins_of_all[np.arange(len(rows)), index]
     return margins

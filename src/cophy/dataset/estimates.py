@@ -8,7 +8,7 @@ import numpy as np
 
 from cophy.dataset import generation
 from cophy.dataset.experiment_set import ALL_FRAMES, ExperimentSet, NeededFrames
-from cophy.dataset.shards import Field, Fields, ShardSet, creating
+from cophy.dataset.shards import Field, Fields, ShardSet, create_file
 from cophy.scenario.rendering import RenderSettings
 
 
@@ -60,7 +60,7 @@ class Estimates(ShardSet):
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """De-render the frames of a shard."""
         done = 0
-        with creating(path, self.fields(shard), self.attributes(shard)) as stored:
+        with create_file(path, self.fields(shard), self.attributes(shard)) as stored:
             for row, sequence, times, rgb in self.frames.sequences(shard):
                 stored["position"][row, sequence, times], stored["presence_logit"][row, sequence, times] = (
                     self.derenderer(rgb)
@@ -75,8 +75,8 @@ class Estimates(ShardSet):
         frames = (len(self.spec.experiments_of_shard(shard)), 2, scenario.clock.num_frames, scenario.num_slots)
         return {"position": Field((*frames, 3), "<f4"), "presence_logit": Field(frames, "<f4")}
 
-    def sources(self, shard: int) -> dict[str, str]:
-        """States and images. These may have been deleted since, or belong to a superset: then only the states count."""
+    def input_checksums(self, shard: int) -> dict[str, str]:
+        """Return the SHA-256 of the states and, if this set of images still exists, of the images."""
         images = self.frames.checksums() or {}
         digests = {"states_sha256": self.states.checksum(shard), "images_sha256": images.get(self.path(shard).name)}
         return {name: digest for name, digest in digests.items() if digest is not None}

@@ -18,7 +18,7 @@ from cophy.scenario.rendering import RenderSettings
 
 @dataclass(frozen=True)
 class NeededFrames:
-    """A choice of frames: the same for every experiment of some splits, or single ones.
+    """Frames to render: sequences of all experiments of some splits, or single frames.
 
     Attributes:
         name: Value of `frames=`, and part of the names of directories.
@@ -77,9 +77,11 @@ def single_frames(frames: np.ndarray, keys: str) -> NeededFrames:
     return NeededFrames(name, single=single, supersets=(ALL_FRAMES,), script="train", keys=keys)
 
 
-Clip = tuple[int, int, np.ndarray, np.ndarray]  # experiment of a shard, sequence, times (N,), RGB (N, R, R, 3) uint8
-Reader = Callable[[int, int, int], np.ndarray]  # row of the arrays, sequence, time -> RGB (R, R, 3) uint8
-Pictures = Callable[[int], Arrays]  # row of the arrays -> both sequences, by modality
+SequenceFrames = tuple[
+    int, int, np.ndarray, np.ndarray
+]  # experiment of a shard, sequence, times (N,), RGB (N, R, R, 3) uint8
+FrameReader = Callable[[int, int, int], np.ndarray]  # row of the arrays, sequence, time -> RGB (R, R, 3) uint8
+ReadImages = Callable[[int], Arrays]  # row of the arrays -> both sequences, by modality
 
 
 class ExperimentSet(ShardSet):
@@ -95,7 +97,7 @@ class ExperimentSet(ShardSet):
     @property
     @abstractmethod
     def id(self) -> str:
-        """Name of the data; other experiments, or other splits of them, have another name."""
+        """Unique name of the data; it changes if the experiments or their splits change."""
 
     @property
     @abstractmethod
@@ -112,10 +114,10 @@ class ExperimentSet(ShardSet):
         """
 
     @abstractmethod
-    def unseen_by(
+    def has_same_splits(
         self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
     ) -> bool:
-        """Return whether no test experiment of this set was used in a training.
+        """Return whether a training had the same splits, so that no test experiment of this set was trained on.
 
         Args:
             num_experiments: Experiments per scenario and number of objects, of the size of the training.
@@ -138,12 +140,12 @@ class FrameSource(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of how they are rendered."""
+        """Name of the set of images: modalities, resolution and renderer."""
         ...
 
     @property
     def needed(self) -> NeededFrames:
-        """Which frames there are."""
+        """Frames that the set contains."""
         ...
 
     def ensure(self, *, workers: int) -> None:
@@ -154,15 +156,15 @@ class FrameSource(Protocol):
         """Return the SHA-256 per shard of the images, or None if there are no shards (any more)."""
         ...
 
-    def sequences(self, shard: int) -> Iterator[Clip]:
+    def sequences(self, shard: int) -> Iterator[SequenceFrames]:
         """Yield the needed frames of each sequence of a shard; sequences without any are omitted."""
         ...
 
-    def reader(self, arrays: Arrays) -> Reader:
+    def reader(self, arrays: Arrays) -> FrameReader:
         """Return a function that reads a frame of the experiments in `arrays`, for use in one process."""
         ...
 
-    def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> Pictures:
+    def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> ReadImages:
         """Return a function that reads both sequences of an experiment in `arrays`, (2, T, R, R, ...) each, in one process.
 
         Raises:

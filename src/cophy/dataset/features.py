@@ -168,8 +168,8 @@ def true_inputs(arrays: Arrays) -> Inputs:
 def estimated_inputs(estimates: Arrays, scenario: Scenario) -> Inputs:
     """Return AB and C as estimated by a de-renderer.
 
-    An object is present in AB if most frames of AB show it, and in CD if C shows it. It is stable where its displacement
-    between frames is below that of the scenario's stable speed.
+    An object is present in AB if most frames of AB show it, and in CD if C shows it. It is stable between two
+    frames if its mean speed is below the scenario's stable speed.
 
     Args:
         estimates: `position` (experiment, 2, T, slot, 3) in metres, and `presence_logit` (experiment, 2, T, slot).

@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
 from cophy.dataset import generation
-from cophy.dataset.datamodules import DeviceShare, in_order, shuffled
-from cophy.dataset.experiment_set import ExperimentSet, FrameSource, Reader, single_frames
+from cophy.dataset.datamodules import DeviceShare, ordered_batches, shuffled_batches
+from cophy.dataset.experiment_set import ExperimentSet, FrameReader, FrameSource, single_frames
 from cophy.dataset.shards import Arrays
 from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError
@@ -59,7 +59,7 @@ class FrameDataset(Dataset[FrameBatch]):
             frames = np.stack(grid, axis=-1).reshape(-1, 4)
             index.append(frames[arrays["clip"][frames[:, 1], frames[:, 2]]] if "clip" in arrays else frames)
         self.index = np.concatenate(index)
-        self._readers: dict[int, Reader] = {}
+        self._readers: dict[int, FrameReader] = {}
 
     def __len__(self) -> int:
         return len(self.index)
@@ -122,9 +122,9 @@ def to_image(rgb: np.ndarray, resolution: int) -> UInt8[Tensor, "3 resolution re
 class FrameDataModule(L.LightningDataModule):
     """Frames of several datasets of one scenario.
 
-    Training and validation frames come from the training and validation splits of every dataset, also of one that is only tested
-    on, because a de-renderer must know every number of objects. Only the chosen frames are rendered; but all frames, if half of
-    them or more are chosen, because predictors need the others later.
+    Datasets that are only used for testing also contribute training and validation frames, from their own training and
+    validation splits, so that a de-renderer knows every number of objects. If at least half of all frames are chosen, all
+    are rendered, because predictors need the others later.
 
     Attributes:
         train, val, test: The three splits, after `setup`.
@@ -197,7 +197,9 @@ class FrameDataModule(L.LightningDataModule):
             FrameDataset(sources, split=split, resolution=self.resolution).sample(count, self.data_seed)
             for split, count in zip(SPLITS, counts, strict=True)
         ]
-        index = np.concatenate([*(frames.index for frames in splits), splits[1].sequence_index(0)])
+        index = np.concatenate(
+            [*(frames.index for frames in splits), splits[1].sequence_index(0)]
+        )  # TensorBoard shows a sequence
         sources = [
             (self._images(experiments, index[index[:, 0] == number, 1:]), arrays)
             for number, (experiments, (_, arrays)) in enumerate(zip(self.sets, sources, strict=True))
@@ -216,7 +218,7 @@ class FrameDataModule(L.LightningDataModule):
         return experiments.frames(self.render, single_frames(frames, keys))
 
     def train_dataloader(self) -> DataLoader[FrameBatch]:
-        batches = shuffled(self.train, self.batch_size, seed=self.seed, share=DeviceShare.of(self.trainer))
+        batches = shuffled_batches(self.train, self.batch_size, seed=self.seed, share=DeviceShare.of(self.trainer))
         # the sampler itself, so that Lightning sets its epoch
         return self._loader(self.train, sampler=batches.sampler, batch_size=batches.batch_size)
 
@@ -227,7 +229,7 @@ class FrameDataModule(L.LightningDataModule):
         return self._in_order(self.test)
 
     def _in_order(self, frames: FrameDataset) -> DataLoader[FrameBatch]:
-        batches = in_order(np.arange(len(frames)), self.batch_size, DeviceShare.of(self.trainer))
+        batches = ordered_batches(np.arange(len(frames)), self.batch_size, DeviceShare.of(self.trainer))
         return self._loader(frames, batch_sampler=batches)
 
     def _loader(self, frames: FrameDataset, **batches: Any) -> DataLoader[FrameBatch]:
@@ -255,7 +257,7 @@ class FrameLoader(DataLoader[FrameBatch]):
 
 
 def _check_colors(experiments: ExperimentSet, arrays: Arrays) -> None:
-    """Refuse released towers without colors.txt: their masses, too, belong to unknown blocks, and so are NaN."""
+    """Refuse released towers without colors.txt, whose masses are NaN because their blocks are unknown."""
     unknown = np.isnan(np.where(arrays["presence"][:, 0], arrays["mass"], 0.0)).any(axis=1)
     if unknown.any():
         raise CophyError(

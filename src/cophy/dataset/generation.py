@@ -23,7 +23,7 @@ from cophy.workers import worker_pool
 
 PATIENCE_S = 30  # until a warning that there is no first experiment yet
 log = logging.getLogger(__name__)
-_done: "Synchronized[int]"  # experiments completed so far, shared by the workers of one run
+_num_completed: "Synchronized[int]"  # experiments completed so far, shared by the workers of one run
 
 
 def ensure(shards: ShardSet, *, workers: int) -> None:
@@ -42,7 +42,7 @@ def make(shards: ShardSet, *, workers: int) -> None:
             _complete(shards, every, workers)
         elif not shards.is_finished() or _missing(shards, every):
             raise CophyError(
-                f"{shards.directory} is incomplete and cannot be written to: make it writable, or move with data_dir="
+                f"{shards.directory} is incomplete and cannot be written to: make it writable, or choose another directory with data_dir="
             )
         else:
             _log_complete(shards)
@@ -63,7 +63,7 @@ def make_part(shards: ShardSet, part: int, parts: int, *, workers: int) -> None:
 
 
 def _complete(shards: ShardSet, wanted: Sequence[int], workers: int) -> bool:
-    """Generate the missing ones of the wanted shards, and the manifest if all others exist; return whether they do."""
+    """Generate missing shards among those wanted. If the set is then complete, write its manifest and return True."""
     every = range(shards.spec.num_shards)
     if missing := _missing(shards, wanted):
         _generate(missing, shards, workers)
@@ -101,7 +101,7 @@ def _generate(missing: list[int], shards: ShardSet, workers: int) -> None:
     start, is_warned, costs = time.monotonic(), False, defaultdict[str, float](float)
     with (
         progress_bar(shards.title, total) as bar,
-        worker_pool(min(workers, len(missing)), _share_count, done) as pool,
+        worker_pool(min(workers, len(missing)), _init_worker, done) as pool,
     ):
         pending = {pool.submit(_generate_shard, shard, shards) for shard in missing}
         while pending:
@@ -121,8 +121,8 @@ def _generate_shard(shard: int, shards: ShardSet) -> dict[str, float]:
     """Generate one shard in a worker; return its cost by unit."""
 
     def advance(experiments: int) -> None:
-        with _done.get_lock():
-            _done.value += experiments
+        with _num_completed.get_lock():
+            _num_completed.value += experiments
 
     start = time.process_time()
     with appearing_whole(shards.path(shard)) as path:
@@ -130,9 +130,9 @@ def _generate_shard(shard: int, shards: ShardSet) -> dict[str, float]:
     return {**costs, "CPU-s": time.process_time() - start}
 
 
-def _share_count(done: "Synchronized[int]") -> None:
-    global _done
-    _done = done
+def _init_worker(done: "Synchronized[int]") -> None:
+    global _num_completed
+    _num_completed = done
 
 
 def progress_bar(title: str, total: int) -> "tqdm[Any]":

@@ -15,8 +15,15 @@ import numpy as np
 
 from cophy.dataset import generation
 from cophy.dataset.cards import write_image_card
-from cophy.dataset.experiment_set import ALL_FRAMES, Clip, ExperimentSet, NeededFrames, Pictures, Reader
-from cophy.dataset.shards import Arrays, Field, Fields, ShardSet, creating, open_for_reading
+from cophy.dataset.experiment_set import (
+    ALL_FRAMES,
+    ExperimentSet,
+    FrameReader,
+    NeededFrames,
+    ReadImages,
+    SequenceFrames,
+)
+from cophy.dataset.shards import Arrays, Field, Fields, ShardSet, create_file, open_for_reading
 from cophy.scenario.rendering import MODALITIES, NO_OBJECT, Frames, Renderer, RenderSettings
 
 IMAGE_FORMAT = 1  # increase it when what is stored, or what an image looks like, changes
@@ -86,7 +93,7 @@ class Images(ShardSet):
                 return images
         return self
 
-    def reader(self, arrays: Arrays) -> Reader:
+    def reader(self, arrays: Arrays) -> FrameReader:
         """Return a function that reads a frame; shards stay open."""
         opened = self.best_available()._opener()
 
@@ -98,7 +105,7 @@ class Images(ShardSet):
 
         return read
 
-    def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> Pictures:
+    def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> ReadImages:
         """Return a function that reads all images of an experiment; shards stay open."""
         opened = self.best_available()._opener()
 
@@ -117,7 +124,7 @@ class Images(ShardSet):
         @contextmanager
         def opened(row: int) -> Iterator[tuple[h5py.File, int]]:
             shard, place = divmod(row, per_shard)
-            with self.explained(shard):
+            with self.report_damage(shard):
                 if shard not in files:
                     self.check(shard)
                     files[shard] = open_for_reading(self.path(shard))
@@ -125,10 +132,10 @@ class Images(ShardSet):
 
         return opened
 
-    def sequences(self, shard: int) -> Iterator[Clip]:
+    def sequences(self, shard: int) -> Iterator[SequenceFrames]:
         source = self.best_available()
         needed = self._mask(shard, self.states.read(shard))
-        with source.explained(shard), source.opened(shard) as stored:
+        with source.report_damage(shard), source.open(shard) as stored:
             for row, sequence in np.argwhere(needed.any(axis=2)).tolist():
                 times = np.flatnonzero(needed[row, sequence])
                 yield row, sequence, times, stored["rgb"][row, sequence, times]
@@ -139,7 +146,7 @@ class Images(ShardSet):
         stride, needed = scenario.clock.states_per_frame, self._mask(shard, arrays)
         with (
             Renderer(scenario, self.render.resolution, self.render.backend) as renderer,
-            creating(path, self.fields(shard), self.attributes(shard)) as stored,
+            create_file(path, self.fields(shard), self.attributes(shard)) as stored,
         ):
             stored["boxes"][...] = -1
             if "drawn" in stored:
@@ -167,10 +174,10 @@ class Images(ShardSet):
 
     def check(self, shard: int) -> None:
         """Open the file and check its structure and states; pixels have checksums of their own."""
-        with self.opened(shard):
+        with self.open(shard):
             pass
 
-    def sources(self, shard: int) -> dict[str, str]:
+    def input_checksums(self, shard: int) -> dict[str, str]:
         return {"states_sha256": self.states.checksum(shard)}
 
     def fields(self, shard: int) -> Fields:

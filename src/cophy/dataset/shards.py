@@ -76,7 +76,7 @@ def encode(arrays: Mapping[str, np.ndarray], fields: Fields, attributes: Mapping
 
 
 @contextmanager
-def creating(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterator[dict[str, h5py.Dataset]]:
+def create_file(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterator[dict[str, h5py.Dataset]]:
     """Create a file whose arrays are filled step by step: they may be larger than the memory."""
     with h5py.File(path, "w", libver=OLDEST_FORMAT) as file:
         file.attrs.update(attributes)
@@ -90,7 +90,7 @@ def creating(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Itera
 
 
 @contextmanager
-def reading(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterator[dict[str, h5py.Dataset]]:
+def open_file(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterator[dict[str, h5py.Dataset]]:
     """Open a file and yield its arrays, without reading them.
 
     Only arrays of the expected shape and type that are stored in this file are accepted. An attribute that the file has must
@@ -106,14 +106,16 @@ def reading(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterat
             try:
                 for name in attributes.keys() & file.attrs.keys():
                     if (value := str(file.attrs[name])) != attributes[name]:
-                        raise DamagedShardError(f"it is of other data: its {name} is {value}, not {attributes[name]}")
+                        raise DamagedShardError(
+                            f"it belongs to other data: its {name} is {value}, not {attributes[name]}"
+                        )
                 arrays = {name: _array_in(file, name, field) for name, field in fields.items()}
             except (KeyError, TypeError, ValueError) as error:  # types that NumPy does not have, broken objects
                 raise DamagedShardError(str(error)) from error
             yield arrays
     except (OSError, RuntimeError) as error:
         if isinstance(error, OSError) and error.errno is not None:
-            raise  # of the operating system; a file must not be replaced because of it
+            raise  # the operating system's, which says nothing about the content: the file is kept
         raise DamagedShardError(" ".join(str(error).split())) from error
 
 
@@ -202,20 +204,20 @@ class ShardSet(ABC):
         """
 
     def num_steps(self, shard: int) -> int:
-        """Return by how many experiments `write` advances in all."""
+        """Return how many experiments `write` reports through `advance` in total."""
         return len(self.spec.experiments_of_shard(shard))
 
     @abstractmethod
     def description(self) -> dict[str, Any]:
         """Return what the manifest contains besides versions and checksums."""
 
-    def sources(self, shard: int) -> dict[str, str]:
+    def input_checksums(self, shard: int) -> dict[str, str]:
         """Return the SHA-256 of the files that a shard is computed from, as attributes of its file."""
         return {}
 
     def attributes(self, shard: int) -> dict[str, str]:
         """Return the attributes of a file: which shard of which set it is, and the files it is computed from."""
-        return {IDENTITY: f"{self.directory.name}/{shard}", **self.sources(shard)}
+        return {IDENTITY: f"{self.directory.name}/{shard}", **self.input_checksums(shard)}
 
     def check(self, shard: int) -> None:
         """Read everything; raise DamagedShardError if the file is not what this set expects."""
@@ -267,19 +269,19 @@ class ShardSet(ABC):
         """Return the arrays of one shard of a finished set, checked against its checksum."""
         return self._verified(shard, self.checksum(shard))
 
-    def load(self, reduced: Callable[[Arrays], Arrays] = lambda arrays: arrays) -> Arrays:
+    def load(self, reduce: Callable[[Arrays], Arrays] = lambda arrays: arrays) -> Arrays:
         """Return the arrays of all experiments in order; every shard is checked against its checksum.
 
         Args:
-            reduced: Returns what is needed of the arrays of a shard, so that the rest is never in memory at once.
+            reduce: Applied to the arrays of each shard before they are joined, to save memory.
         """
         checksums = self.finished_checksums()
-        shards = [reduced(self._verified(shard, checksums[path.name])) for shard, path in enumerate(self.paths())]
+        shards = [reduce(self._verified(shard, checksums[path.name])) for shard, path in enumerate(self.paths())]
         return {name: np.concatenate([arrays[name] for arrays in shards]) for name in shards[0]}
 
-    def opened(self, shard: int) -> AbstractContextManager[dict[str, h5py.Dataset]]:
+    def open(self, shard: int) -> AbstractContextManager[dict[str, h5py.Dataset]]:
         """Open a shard and yield its arrays, without reading them."""
-        return reading(self.path(shard), self.fields(shard), self.attributes(shard))
+        return open_file(self.path(shard), self.fields(shard), self.attributes(shard))
 
     def write_manifest(self) -> None:
         """Write the manifest of a finished set."""
@@ -291,7 +293,7 @@ class ShardSet(ABC):
         write_atomically(self.directory / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())
 
     @contextmanager
-    def explained(self, shard: int) -> Iterator[None]:
+    def report_damage(self, shard: int) -> Iterator[None]:
         """Turn damage found while reading a shard into an error that names the file and the remedy."""
         try:
             yield
@@ -308,12 +310,12 @@ class ShardSet(ABC):
             raise DamagedShardError(f"its checksum is not the one in {MANIFEST}")
 
     def _verified(self, shard: int, checksum: str) -> Arrays:
-        with self.explained(shard):
+        with self.report_damage(shard):
             self._compare(shard, checksum)
             return self._read(shard)
 
     def _read(self, shard: int) -> Arrays:
-        with self.opened(shard) as stored:
+        with self.open(shard) as stored:
             return {name: np.asarray(array[()]) for name, array in stored.items()}
 
 

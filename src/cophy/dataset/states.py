@@ -136,7 +136,7 @@ def to_arrays(experiments: Sequence[Experiment], indices: Sequence[int], spec: D
     return arrays
 
 
-def scene_of(arrays: Arrays, row: int, scenario: Scenario) -> Scene:
+def build_scene(arrays: Arrays, row: int, scenario: Scenario) -> Scene:
     """Return A of an experiment under its confounders, from its first stored state (float32)."""
     order = arrays["object_index"][row]
     slots = sorted(np.flatnonzero(order >= 0).tolist(), key=lambda slot: order[slot])
@@ -232,7 +232,7 @@ class States(ExperimentSet):
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> Images:
         return Images(self, render, needed)
 
-    def unseen_by(
+    def has_same_splits(
         self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
     ) -> bool:
         return (num_experiments, data_seed) == (self.spec.size.num_experiments, self.spec.data_seed)

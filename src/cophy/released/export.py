@@ -221,7 +221,7 @@ def _read_images(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[st
             wanted = [row for row in rows if row in within]
             if not wanted:
                 continue
-            with source.explained(shard), source.opened(shard) as stored:
+            with source.report_damage(shard), source.open(shard) as stored:
                 for row in wanted:
                     yield row, {name: stored[name][row - within.start] for name in (*NEEDED_MODALITIES, "boxes")}
                     bar.update()

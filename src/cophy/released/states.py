@@ -14,7 +14,14 @@ import numpy as np
 
 from cophy.atomic_files import write_atomically
 from cophy.dataset import generation
-from cophy.dataset.experiment_set import ALL_FRAMES, Clip, ExperimentSet, NeededFrames, Pictures, Reader
+from cophy.dataset.experiment_set import (
+    ALL_FRAMES,
+    ExperimentSet,
+    FrameReader,
+    NeededFrames,
+    ReadImages,
+    SequenceFrames,
+)
 from cophy.dataset.shards import Arrays, Field, Fields, empty_arrays, encode
 from cophy.dataset.source import Source
 from cophy.dataset.splits import SPLITS, Split
@@ -72,7 +79,7 @@ class ReleasedStates(ExperimentSet):
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> "ReleasedClips":
         return ReleasedClips(self)
 
-    def unseen_by(self, *, trained_on: Sequence[str], **generated: Any) -> bool:
+    def has_same_splits(self, *, trained_on: Sequence[str], **generated: Any) -> bool:
         return self.id in trained_on
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
@@ -193,17 +200,17 @@ class ReleasedClips:
     def checksums(self) -> None:
         """Return none: released clips have no checksums."""
 
-    def sequences(self, shard: int) -> Iterator[Clip]:
+    def sequences(self, shard: int) -> Iterator[SequenceFrames]:
         """Yield every frame of every clip."""
         experiments, times = self.spec.experiments_of_shard(shard), range(self.spec.scenario.clock.num_frames)
         for row, sequence in np.argwhere(self.states.read(shard)["clip"]).tolist():
             yield row, sequence, np.array(times), np.stack(list(self._decode(experiments[row], sequence, times)))
 
-    def reader(self, arrays: Arrays) -> Reader:
+    def reader(self, arrays: Arrays) -> FrameReader:
         """Return a function that reads the frame of a row of the arrays, a sequence and a time."""
         return partial(self._read_frame, arrays["experiment"])
 
-    def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> Pictures:
+    def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> ReadImages:
         """Return a function that decodes both clips of a row of the arrays; RGB is the only modality."""
         if unknown := set(modalities) - {"rgb"}:
             raise CophyError(f"released data have no {', '.join(sorted(unknown))}, only rgb")

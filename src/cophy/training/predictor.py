@@ -31,7 +31,7 @@ from cophy.training.metrics import (
     twin_collection,
 )
 from cophy.training.optimisation import make_optimizer
-from cophy.training.probe import Probed, estimate_confounders, probe, warn_if_constant
+from cophy.training.probe import Probed, collect_estimates, probe, warn_if_constant
 from cophy.training.run import Results
 from cophy.training.settings import Training
 from cophy.types import Batch, Prediction, Targets, map_tensors
@@ -138,9 +138,7 @@ class PredictionModule(L.LightningModule):
             warn_if_constant(tested)
             if data.knows_confounders and not data.estimated:
                 train = data.train.batch
-                estimate = estimate_confounders(
-                    self.network, train.inputs, batch_size=self.training_settings.batch_size
-                )
+                estimate = collect_estimates(self.network, train.inputs, batch_size=self.training_settings.batch_size)
                 assert estimate is not None
                 values |= probe(Probed(estimate, train.targets), tested)
         copies = mse_of_copies(batch, self.scenario, data.mean_position)

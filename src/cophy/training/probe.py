@@ -23,7 +23,7 @@ class Probed(NamedTuple):
     targets: Targets
 
 
-def estimate_confounders(
+def collect_estimates(
     network: nn.Module, inputs: Inputs, *, batch_size: int
 ) -> Float[Tensor, "batch slots hidden"] | None:
     """Return the estimate U of all experiments, or None if the network has none."""

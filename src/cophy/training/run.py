@@ -119,7 +119,7 @@ class Run:
         Raises:
             CophyError: Another process is making this run, or the directory has results that must not be replaced.
         """
-        if not is_first():  # the first process locks it for all
+        if not is_rank_zero():  # the first process locks it for all
             yield
             return
         self.directory.mkdir(parents=True, exist_ok=True)
@@ -139,10 +139,10 @@ class Run:
                     raise CophyError(f"no space left for {self.directory}: {SAFE}") from error
                 raise
 
-    def begin(self) -> None:
+    def delete_earlier_results(self) -> None:
         """Delete earlier results. A run that is refused before this, by a wrong key or missing data, keeps them."""
         self.has_begun = True
-        if is_first():
+        if is_rank_zero():
             for name in (METRICS, PREDICTIONS, FAILURE):
                 (self.directory / name).unlink(missing_ok=True)
 
@@ -196,7 +196,7 @@ class Run:
             )
 
 
-def is_first() -> bool:
+def is_rank_zero() -> bool:
     """Return whether this process decides and writes: the only one, or the first of a run on several devices."""
     from lightning.pytorch.utilities.rank_zero import rank_zero_only  # takes seconds to import; --help does not need it
 

@@ -78,7 +78,7 @@ class TrainedDerenderer:
                 raise CophyError(
                     f"the de-renderer {self.source} was trained on another scenario (its {', '.join(keys)} differ)"
                 )
-            if not experiments.unseen_by(**self._training_data):
+            if not experiments.has_same_splits(**self._training_data):
                 raise CophyError(
                     f"the de-renderer {self.source} was trained at another size or data seed, or with other lists: it may "
                     f"have seen the test experiments of {experiments.id} in training"

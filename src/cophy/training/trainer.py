@@ -42,7 +42,8 @@ from cophy.training.callbacks import (
     Stopwatch,
 )
 from cophy.training.checkpoints import WholeCheckpoints, flatten
-from cophy.training.run import Run, is_first
+from cophy.training.reuse import Start
+from cophy.training.run import Run, is_rank_zero
 
 MAX_PROCESSES_PER_CORE = 8  # of a run on CPUs; more would only fill the memory
 
@@ -126,7 +127,7 @@ def fit(
         raise CophyError(f"trainer: {error}") from error
     except SIGTERMException as error:
         # exit code of a process that SIGTERM ended; on several devices, Lightning kills the first if another one fails
-        raise SystemExit(128 + signal.SIGTERM if is_first() else 0) from error
+        raise SystemExit(128 + signal.SIGTERM if is_rank_zero() else 0) from error
     callbacks: list[L.Callback] = trainer.callbacks  # type: ignore[attr-defined]
     (stopwatch,) = (each for each in callbacks if isinstance(each, Stopwatch))
     (best,) = (each for each in callbacks if isinstance(each, BestValidation))
@@ -167,7 +168,7 @@ def decide_first(trainer: L.Trainer, decide: Callable[[], Decision]) -> Decision
     """Call a function in the first process alone, and return its result in all of them."""
     if trainer.world_size == 1:
         return decide()
-    return trainer.strategy.broadcast(decide() if is_first() else None)  # type: ignore[return-value]
+    return trainer.strategy.broadcast(decide() if is_rank_zero() else None)  # type: ignore[return-value]
 
 
 def was_requeued() -> bool:
@@ -176,7 +177,7 @@ def was_requeued() -> bool:
 
 
 def prepare_loggers(
-    trainer: L.Trainer, run: Run, origin: dict[str, Any], arguments: dict[str, Any], *, keeps_curves: bool, trains: bool
+    trainer: L.Trainer, run: Run, origin: dict[str, Any], arguments: dict[str, Any], start: Start
 ) -> None:
     """Remove TensorBoard's curves of an earlier training, and log what loggers compare runs by.
 
@@ -185,13 +186,12 @@ def prepare_loggers(
         run: Names.
         origin: Keys of model and training.
         arguments: Arguments of `lightning.Trainer`.
-        keeps_curves: Whether earlier curves in the run's folder belong to this training.
-        trains: Whether the run trains. If it only tests, nothing is added to curves that are kept.
+        start: Whether earlier curves belong to this training. If the run only tests, nothing is added to curves that stay.
     """
-    for logger in trainer.loggers if trainer.is_global_zero and not keeps_curves else []:
+    for logger in trainer.loggers if trainer.is_global_zero and not start.keeps_curves else []:
         if isinstance(logger, Curves):
             logger.remove_earlier()
-    if not trains:
+    if start.finished is not None:
         trainer.loggers = [each for each in trainer.loggers if not (isinstance(each, Curves) and each.earlier)]
     keys = {"model": origin["model"], "training": origin["training"], "trainer": arguments}
     for logger in trainer.loggers:
