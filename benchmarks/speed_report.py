@@ -35,7 +35,8 @@ def write_runs(outputs: Path) -> None:
     """Write metrics.json and predictions.npz of all runs of docs/results/results.csv."""
     data = ComposedData("generated", Path("data"))
     runs = pd.read_csv(ROOT / "docs" / "results" / "results.csv")
-    metrics = [column.removesuffix("_low") for column in runs if column.endswith("_low") and column != "share_low"]
+    columns = [str(column) for column in runs]
+    metrics = [column.removesuffix("_low") for column in columns if column.endswith("_low") and column != "share_low"]
     for line in runs.to_dict("records"):
         names = {name: line[name] for name in ("scenario", "split", "model", "ablation", "positions", "seed")}
         size = line["size"] if line["size"] in ("small", "paper") else "tiny"

@@ -56,10 +56,10 @@ def check_resimulation(arrays: Arrays, spec: DatasetSpec, num_pairs: int) -> Ite
     close, limit_m = distance < scenario.min_difference, scenario.min_difference
     result = f"{close.mean():.0%} of {close.size} within {limit_m:g} m; medians: "
     result += ", ".join(f"{name} {median:.0e} m" for name, median in medians.items())
-    passed = _exceeds(close.mean(), MIN_RESIMULATED_SHARE, close.size)
+    passed = _exceeds(float(close.mean()), MIN_RESIMULATED_SHARE, close.size)
     yield Check("resimulated from the stored A and C, as stored", result, passed)
     differ = np.mean(np.array(twin_distances) >= MIN_RESIMULATED_SHARE * scenario.min_difference)
-    passed = _exceeds(differ, MIN_RESIMULATED_SHARE, len(pairs))
+    passed = _exceeds(float(differ), MIN_RESIMULATED_SHARE, len(pairs))
     yield Check("the twin's confounders change CD", f"{differ:.0%} of {len(pairs)} pairs", passed)
 
 
@@ -184,7 +184,7 @@ def _same_observation(
     """Return the configurations under which each observed sequence looks the same; most are dropped after its beginning."""
     alike = np.ones((len(candidates), len(observed)), dtype=bool)
     for share in (*BEGINNINGS, 1.0):
-        candidates = [c for c, near in zip(candidates, alike.any(axis=1), strict=True) if near]
+        candidates = [c for c, near in zip(candidates, alike.any(axis=1).tolist(), strict=True) if near]
         clock = replace(scenario.clock, num_frames=max(2, round(share * scenario.clock.num_frames)))
         distance = np.zeros((len(candidates), len(observed)))
         for row, configuration in enumerate(candidates):

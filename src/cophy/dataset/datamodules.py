@@ -299,7 +299,7 @@ class ExperimentDataset(Dataset[dict[str, Tensor]]):
         self.arrays = {name: array[self.rows] for name, array in arrays.items()}
         self._title = experiments.title
         self._frames, self._modalities = frames, tuple(modalities)
-        self._places = {name: arrays[name] for name in ("experiment", "clip") if name in arrays}
+        self._places: Arrays = {name: arrays[name] for name in ("experiment", "clip") if name in arrays}
         self._read_images: ReadImages | None = None  # with open files, so every process has its own
 
     def __len__(self) -> int:

@@ -1,6 +1,7 @@
 """Overviews of all runs as text: MSE, epochs and seeds; how well predictions separate twins; cost and all metrics."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -32,13 +33,14 @@ def twin_tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     if not set(TWIN_METRICS) <= set(runs.columns):
         return {}
     return {
-        f"{title}: {kind}": _wide(group, lambda seeds, metric=metric: _twin_cell(comparable_seeds(seeds), metric))
+        f"{title}: {kind}": _wide(group, partial(_twin_cell, metric=metric))
         for kind, group in group_runs(runs[runs["right_twin_chosen"].notna()])
         for metric, title in TWIN_METRICS.items()
     }
 
 
-def _twin_cell(seeds: pd.DataFrame, metric: str) -> Cell:
+def _twin_cell(runs: pd.DataFrame, metric: str) -> Cell:
+    seeds = comparable_seeds(runs)
     means = (100 * seeds[f"{metric}{end}"].mean() for end in ("", "_low", "_high"))
     value, low, high = (round(percent, 1) + 0.0 for percent in means)  # no "-0.0"
     deviation = f"± {100 * seeds[metric].std():.1f}" if len(seeds) > 1 else ""
@@ -67,7 +69,7 @@ def _wide(runs: pd.DataFrame, cell: Callable[[pd.DataFrame], Cell]) -> pd.DataFr
     """Return rows × splits of the cells of the runs of each row and split."""
     rows = [row_name(model, ablation) for model, ablation in zip(runs["model"], runs["ablation"], strict=True)]
     cells = pd.Series({key: cell(group) for key, group in runs.groupby([np.array(rows), "split"])}, dtype=object)
-    return cells.unstack(fill_value=Cell(MISSING)).loc[sort_rows(set(rows))]
+    return cells.unstack(fill_value=Cell(MISSING)).loc[sort_rows(set(rows))]  # type: ignore[arg-type]  # any object
 
 
 def _overview_cell(runs: pd.DataFrame) -> Cell:

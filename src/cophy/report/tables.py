@@ -210,7 +210,8 @@ def _participants(
     if participants is not None:
         lines = select(participants, scenario=names["scenario"], split=names["split"], setting=setting, metric=metric)
         if len(lines):
-            return lines.iloc[0][["ours", "sd", "low", "high"]].to_dict() | {"seeds": 1, "failed": 0}
+            line = lines.iloc[0]
+            return {name: line[name] for name in ("ours", "sd", "low", "high")} | {"seeds": 1, "failed": 0}
     return {"seeds": 0, "failed": 0}
 
 
