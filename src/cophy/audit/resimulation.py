@@ -184,7 +184,7 @@ def _same_observation(
     """Return the configurations under which each observed sequence looks the same; most are dropped after its beginning."""
     alike = np.ones((len(candidates), len(observed)), dtype=bool)
     for share in (*BEGINNINGS, 1.0):
-        candidates = [c for c, near in zip(candidates, alike.any(axis=1).tolist(), strict=True) if near]
+        candidates = [c for c, near in zip(candidates, alike, strict=True) if near.any()]
         clock = replace(scenario.clock, num_frames=max(2, round(share * scenario.clock.num_frames)))
         distance = np.zeros((len(candidates), len(observed)))
         for row, configuration in enumerate(candidates):
