@@ -1,4 +1,4 @@
-"""Means of what was measured per experiment, and how sure they are."""
+"""Means over experiments, and their bootstrap intervals."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ MAX_RESAMPLES_AT_ONCE = 100  # in memory
 
 
 class Ratio(NamedTuple):
-    """A measure that is the sum of one value over experiments ÷ the sum of another.
+    """A metric that is a sum over experiments divided by another sum.
 
     Attributes:
         numerator: (experiment,) values.
@@ -22,10 +22,10 @@ class Ratio(NamedTuple):
 
 
 def mean(values: np.ndarray | Ratio) -> float:
-    """Mean over the experiments that count, those that are not NaN; or the ratio of two sums.
+    """Return the mean over the experiments that count (those that are not NaN), or the ratio of two sums.
 
-    Values of two dimensions (experiment, column) have the mean of their columns' means: every column weighs the same,
-    however many experiments it has.
+    For values of two dimensions (experiment, column), it is the mean of the columns' means: every column has the same
+    weight, however many experiments it has.
     """
     if isinstance(values, Ratio):
         return float(values.numerator.sum() / values.denominator.sum())
@@ -33,28 +33,28 @@ def mean(values: np.ndarray | Ratio) -> float:
 
 
 def interval(values: np.ndarray | Ratio, pairs: np.ndarray) -> tuple[float, float]:
-    """Bootstrap 95 % interval of the mean, or of the ratio (percentiles; the same at every call).
+    """Return the bootstrap 95 % interval of the mean or ratio, by percentiles; it is the same at every call.
 
-    Twin pairs are resampled, not values: twins share A, C and the do-operation, and so much of their error.
+    Twin pairs are resampled, not experiments, because twins share A, C and the do-operation and hence much of their error.
 
     Args:
         values: One per experiment, or one per experiment and column; NaN where it does not count.
-        pairs: (experiment,) the twin pair that it is of.
+        pairs: (experiment,) twin pair of each experiment.
     """
     parts = values if isinstance(values, Ratio) else Ratio(np.nan_to_num(values), ~np.isnan(values))
     numerator, denominator = (np.reshape(part, (len(pairs), -1)) for part in parts)
     counts = denominator.any(axis=1) | isinstance(values, Ratio)
-    found, group = np.unique(pairs[counts], return_inverse=True)
-    if len(found) < 2:
+    unique_pairs, group = np.unique(pairs[counts], return_inverse=True)
+    if len(unique_pairs) < 2:
         return mean(values), mean(values)
     total, size = (_sums(part[counts], group) for part in (numerator, denominator))
 
     def statistic(rows: np.ndarray, axis: int) -> np.ndarray:
-        with np.errstate(invalid="ignore"):  # a draw may have no experiment of a rare column: it is of the others
+        with np.errstate(invalid="ignore"):  # a sample may have no experiment of a rare column: the others count
             return np.nanmean(total[rows].sum(axis=axis - 1) / size[rows].sum(axis=axis - 1), axis=-1)
 
     result = bootstrap(
-        (np.arange(len(found)),),
+        (np.arange(len(unique_pairs)),),
         statistic,
         n_resamples=NUM_RESAMPLES,
         batch=MAX_RESAMPLES_AT_ONCE,
