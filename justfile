@@ -26,7 +26,7 @@ demo: setup
 
 # run the tests (minutes), or some of them: just test tests/models
 test *args: setup
-    {{bin}}/pytest -n 2 "$@"
+    {{bin}}/pytest -n 2 --dist worksteal "$@"
 
 # run the slow tests too; those with a browser need Debian's chromium
 test-slow *args: setup

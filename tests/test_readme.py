@@ -12,9 +12,8 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, Override
 
-from cophy.config import settings
 from cophy.report.paper_tables import paper_tables
-from tests.conftest import ROOT
+from tests.conftest import ROOT, settings
 
 README = ROOT / "README.md"
 PAGES = [README, *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)]
@@ -110,6 +109,7 @@ def test_every_link_leads_to_a_file(page: Path) -> None:
             assert (page.parent / unquote(target)).exists(), target
 
 
+@pytest.mark.slow
 def test_the_first_steps_run(tiny_data: Path, tmp_path: Path) -> None:
     section = README.read_text().split("## First steps")[1].split("## ")[0]
     steps = COMMAND.findall(section.split("\n\n")[1])
@@ -123,6 +123,7 @@ def test_the_first_steps_run(tiny_data: Path, tmp_path: Path) -> None:
     assert "CoPhyNet" in (tmp_path / "outputs" / "report" / "tables.md").read_text()
 
 
+@pytest.mark.slow
 def test_the_readme_reads_data_from_python(tiny_data: Path, tmp_path: Path) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     assert 'size="tiny"' in code

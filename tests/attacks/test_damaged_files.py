@@ -29,7 +29,7 @@ from tests.study.test_report import description, write_answers
 
 pytestmark = pytest.mark.slow
 
-NUM_FILES, NUM_ANSWER_FILES = 60, 60
+NUM_FILES, NUM_ANSWER_FILES = 24, 24
 MAX_SECONDS = 90
 HUGE_BYTES = 2**40
 VALUES = (None, True, -1, 0, 10**400, 1e308, float("nan"), float("inf"), "", "../x", "a" * 5000, [], {}, [[]], "\x00")

@@ -11,7 +11,6 @@ from torch.utils.data import DataLoader
 
 import cophy
 from tests.commands import run, train
-from tests.conftest import SCENARIOS
 
 FIELDS = {
     "scenario", "split", "model", "ablation", "positions", "seed", "size", "variant", "validation",
@@ -20,88 +19,93 @@ FIELDS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_a_row_runs_from_data_to_metrics(name: str, tiny_data: Path, tmp_path: Path) -> None:
-    train(f"scenario={name}", "logger=tensorboard", f"hydra.run.dir={tmp_path}", data=tiny_data)
-    content = json.loads((tmp_path / "metrics.json").read_text())
+def test_a_run_leaves_metrics_predictions_curves_and_checkpoints(trained_run: Path, tiny_data: Path) -> None:
+    check_results(trained_run, "collision", tiny_data)
+    curves = EventAccumulator(str(next(trained_run.parents[5].rglob("events.out.tfevents.*")).parent))
+    curves.Reload()
+    scalars = set(curves.Tags()["scalars"])
+    assert {"mse/val", "mse/test", "train/mse", "val/stability_accuracy", "train/lr-Adam"} <= scalars
+    assert "train/gradient_norm" in scalars
+    assert "epoch" not in scalars
+    assert any(name.startswith("per_cell/") for name in scalars)
+    assert {"val/trajectories", "val/error_over_time", "val/clip"} <= set(curves.Tags()["images"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["blocktower", "balls"])
+def test_runs_of_the_other_scenarios_leave_the_same_files(name: str, tiny_data: Path, tmp_path: Path) -> None:
+    train(f"scenario={name}", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    check_results(tmp_path, name, tiny_data)
+
+
+def check_results(run: Path, name: str, data_dir: Path) -> None:
+    """Check the files of a run, and that its checkpoint predicts what it stored."""
+    content = json.loads((run / "metrics.json").read_text())
     assert set(content) == FIELDS
     assert content["scenario"] == name
     assert content["num_train"] == 34
     assert content["num_test"] == 4
     assert set(content["metrics"]) >= {"mse", "final_position_error", "stability_accuracy", "stability_base_rate"}
     assert set(content["intervals"]) == set(content["metrics"])
-    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"best.ckpt", "last.ckpt", "finished.json"}
-    with np.load(tmp_path / "predictions.npz") as predictions:
+    assert {path.name for path in (run / "checkpoints").iterdir()} == {"best.ckpt", "last.ckpt", "finished.json"}
+    assert (run / ".hydra" / "config.yaml").exists()
+    with np.load(run / "predictions.npz") as predictions:
         steps = 14 if name == "collision" else 29
         shape = (4, steps, *predictions["initial"].shape[1:])
         assert predictions["position"].shape == predictions["target"].shape == shape
-        predictor = cophy.load_predictor(tmp_path / "checkpoints" / "best.ckpt")
-        data = cophy.load(name, size="tiny", split="test", data_dir=str(tiny_data))
+        predictor = cophy.load_predictor(run / "checkpoints" / "best.ckpt")
+        data = cophy.load(name, size="tiny", split="test", data_dir=str(data_dir))
         (batch,) = DataLoader(data, batch_size=4)
         batch["states"][:, 1, 1:] = 0  # D, which is to be predicted
         present = batch["presence"][:, 1, None, :, None]
         torch.testing.assert_close(predictor(batch), torch.from_numpy(predictions["position"]) * present)
-    assert (tmp_path / ".hydra" / "config.yaml").exists()
-    curves = EventAccumulator(str(tmp_path / "tensorboard"))
-    curves.Reload()
-    scalars = set(curves.Tags()["scalars"])
-    assert {
-        "mse/val",
-        "mse/test",
-        "train/mse",
-        "val/stability_accuracy",
-        "train/lr-Adam",
-        "train/gradient_norm",
-    } <= scalars
-    assert "epoch" not in scalars
-    assert any(name.startswith("per_cell/") for name in scalars) == (name != "balls")
-    assert {"val/trajectories", "val/error_over_time", "val/clip"} <= set(curves.Tags()["images"])
 
 
 def test_a_fast_dev_run_takes_a_step_and_leaves_no_results(tiny_data: Path, tmp_path: Path) -> None:
-    train("trainer.fast_dev_run=true", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    train("scenario=collision", "trainer.fast_dev_run=true", f"hydra.run.dir={tmp_path}", data=tiny_data)
     assert not (tmp_path / "metrics.json").exists()
     assert not (tmp_path / "checkpoints").exists()
 
 
-def test_the_same_seed_gives_the_same_numbers_and_another_does_not(tiny_data: Path, tmp_path: Path) -> None:
-    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(f"seed={seed}", f"hydra.run.dir={tmp_path / name}", data=tiny_data)
-    metrics = {name: json.loads((tmp_path / name / "metrics.json").read_text())["metrics"] for name in "abc"}
-    assert metrics["a"] == metrics["b"]
-    assert metrics["a"] != metrics["c"]
+def test_the_same_seed_gives_the_same_numbers_and_another_does_not(
+    trained_run: Path, tiny_data: Path, tmp_path: Path
+) -> None:
+    metrics = [json.loads((trained_run / "metrics.json").read_text())["metrics"]]
+    for seed in (0, 1):
+        train("scenario=collision", f"seed={seed}", f"hydra.run.dir={tmp_path / str(seed)}", data=tiny_data)
+        metrics.append(json.loads((tmp_path / str(seed) / "metrics.json").read_text())["metrics"])
+    assert metrics[0] == metrics[1]
+    assert metrics[0] != metrics[2]
 
 
-def test_resuming_goes_on_where_training_stopped(tiny_data: Path, tmp_path: Path) -> None:
-    def state(name: str) -> tuple[int, int, float]:
-        checkpoint = torch.load(tmp_path / name / "checkpoints" / "last.ckpt", weights_only=True)
-        return (
-            checkpoint["epoch"],
-            checkpoint["global_step"],
-            checkpoint["optimizer_states"][0]["param_groups"][0]["lr"],
-        )
-
-    train("trainer.max_epochs=4", f"hydra.run.dir={tmp_path / 'whole'}", data=tiny_data)
-    train("trainer.max_epochs=2", f"hydra.run.dir={tmp_path / 'part'}", data=tiny_data)
-    assert state("part") != state("whole")
-    last = tmp_path / "part" / "checkpoints" / "last.ckpt"
-    splits = "scenario.task.splits=[3to3,mine]"  # names of splits are no setting of a training
-    train("trainer.max_epochs=4", f"ckpt={last}", splits, f"hydra.run.dir={tmp_path / 'rest'}", data=tiny_data)
-    assert state("rest") == state("whole")
-
-
-def test_a_checkpoint_of_another_training_and_weights_alone_are_refused(tiny_data: Path, tmp_path: Path) -> None:
-    train("model.hidden_dim=8", f"hydra.run.dir={tmp_path}", data=tiny_data)
-    last = tmp_path / "checkpoints" / "last.ckpt"
-    printed = train(f"ckpt={last}", f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
-    assert "belongs to another training (model.hidden_dim=8)" in printed
-    other = ("model.hidden_dim=8", f"ckpt={last}", "seed=1", "trainer.precision=64-true", "trainer.max_epochs=2")
-    printed = train(*other, f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
-    assert "belongs to another training (seed=0, trainer.precision=32-true): use the same settings" in printed
-    best = last.with_name("best.ckpt")
+def test_a_checkpoint_of_another_training_and_weights_alone_are_refused(
+    trained_run: Path, tiny_data: Path, tmp_path: Path
+) -> None:
+    keys = ("scenario=collision", f"hydra.run.dir={tmp_path}")
+    last, best = (trained_run / "checkpoints" / name for name in ("last.ckpt", "best.ckpt"))
+    others = ("model.hidden_dim=8", "seed=1", "trainer.precision=64-true", "trainer.max_epochs=2")
+    printed = train(*keys, f"ckpt={last}", *others, data=tiny_data, code=1)
+    assert "belongs to another training (" in printed
+    assert "model.hidden_dim=32" in printed
+    assert "seed=0" in printed
+    assert "trainer.precision=32-true" in printed
+    assert "max_epochs" not in printed.partition("belongs to another training")[2].partition(":")[0]
     assert best.stat().st_size < last.stat().st_size / 2
-    printed = train("model.hidden_dim=8", f"ckpt={best}", f"hydra.run.dir={tmp_path / 'other'}", data=tiny_data, code=1)
+    printed = train(*keys, f"ckpt={best}", data=tiny_data, code=1)
     assert "holds only weights, for tests and predictions: use the run's last.ckpt" in printed
+
+
+def test_a_report_has_the_numbers_of_the_run(outputs: Path, tiny_data: Path, tmp_path: Path) -> None:
+    printed = run("report", f"outputs={outputs}", f"directory={tmp_path}", f"data_dir={tiny_data}")
+    content = json.loads(next(outputs.rglob("metrics.json")).read_text())
+    assert f"{content['metrics']['mse']:.3f}" in (tmp_path / "tables.md").read_text()
+    assert (tmp_path / "collision.csv").exists()
+    assert "Traceback" not in printed
+
+
+def test_a_report_without_runs_is_refused(tmp_path: Path) -> None:
+    assert "there are no runs; train.py writes them" in run("report", f"outputs={tmp_path}", code=1)
+    assert not list(tmp_path.iterdir())
 
 
 def test_generate_refuses_the_split_of_another_scenario(tmp_path: Path) -> None:
@@ -109,6 +113,7 @@ def test_generate_refuses_the_split_of_another_scenario(tmp_path: Path) -> None:
     assert "split=3to4 does not go with balls: use 4to4, 4to2, 4to3, 4to5, 4to6" in printed
 
 
+@pytest.mark.slow
 def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Path, tmp_path: Path) -> None:
     sweep = ("-m", f"hydra.sweep.dir={tmp_path}", "scenario=blocktower")
     train(*sweep, "ablation=glob(*)", data=tiny_data)
@@ -125,9 +130,6 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     drawn = {"table-blocktower", "error_over_time-blocktower-3to3", "trajectories-blocktower-3to3-cophynet"}
     drawn |= {"difficulty-blocktower-3to3-tiny", "stability_distribution-tiny"}
     assert {f"{name}.{kind}" for name in drawn for kind in ("png", "pdf")} <= names
-    (tmp_path / "empty").mkdir()
-    assert "there are no runs; train.py writes them" in run("report", f"outputs={tmp_path / 'empty'}", code=1)
-    assert not list((tmp_path / "empty").iterdir())
     printed = run("report", f"outputs={tmp_path}", f"directory={tmp_path}/elsewhere", "data_dir=nowhere")
     assert "nowhere/blocktower/3-tiny-" in printed
     assert not (tmp_path / "elsewhere" / "difficulty.md").exists()

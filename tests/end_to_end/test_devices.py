@@ -9,33 +9,30 @@ import pytest
 from tests.commands import ON_TWO, train
 
 
-def left(outputs: Path) -> tuple[dict, dict[str, np.ndarray]]:
+def results(outputs: Path) -> tuple[dict, dict[str, np.ndarray]]:
     """metrics.json and predictions.npz of the only run."""
     (metrics,) = outputs.rglob("metrics.json")
     with np.load(metrics.with_name("predictions.npz")) as file:
         return json.loads(metrics.read_text()), dict(file)
 
 
-@pytest.mark.parametrize(
-    "size",
-    [pytest.param("", marks=pytest.mark.slow), "size.num_experiments.collision.2=50"],
-    ids=["even", "uneven"],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("size", ["", "size.num_experiments.collision.2=50"], ids=["even", "uneven"])
 def test_two_processes_leave_what_one_does(tiny_data: Path, tmp_path: Path, size: str) -> None:
     keys = ("scenario=collision", "model=in", "trainer.max_epochs=2", *([size] if size else []))
-    said = train(*keys, *ON_TWO, f"source.outputs={tmp_path / 'two'}", data=tiny_data, apart=True)
-    assert "sync_dist" not in said
-    two, predicted = left(tmp_path / "two")
+    printed = train(*keys, *ON_TWO, f"source.outputs={tmp_path / 'two'}", data=tiny_data, apart=True)
+    assert "sync_dist" not in printed
+    two, predicted = results(tmp_path / "two")
     train(*keys, f"source.outputs={tmp_path / 'one'}", data=tiny_data)
-    one, _ = left(tmp_path / "one")
+    one, _ = results(tmp_path / "one")
     assert two["num_test"] == len(predicted["pair"]) == one["num_test"]
     assert two["validation"] == pytest.approx(one["validation"], abs=1e-4)  # two trainings, rounded otherwise
     again = train(*keys, f"source.outputs={tmp_path / 'two'}", data=tiny_data)
     assert "already trained" in again  # the same run; its checkpoint is tested by one process
-    tested, told = left(tmp_path / "two")
+    tested, predicted_again = results(tmp_path / "two")
     assert tested["metrics"] == pytest.approx(two["metrics"], abs=1e-6)
     assert tested["intervals"].keys() == two["intervals"].keys()
-    for name, values in told.items():
+    for name, values in predicted_again.items():
         np.testing.assert_allclose(predicted[name], values, atol=1e-6)
 
 

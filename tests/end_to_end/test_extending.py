@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.conftest import ROOT
 
 
@@ -15,6 +17,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_model_of_the_page_trains_and_appears_in_the_report(tiny_data: Path, tmp_path: Path) -> None:
     for name, content in [("drift.py", blocks("python")[0]), ("conf/model/drift.yaml", blocks("yaml")[0])]:
         path = tmp_path / name

@@ -51,8 +51,8 @@ def report(out: Path) -> str:
 )
 def test_a_row_on_released_data_fills_its_own_table(tree: CoPhyTree, tmp_path: Path, scenario: str) -> None:
     train(tree, tmp_path, f"scenario={scenario}")
-    (found,) = (tmp_path / "outputs").rglob("metrics.json")
-    content = json.loads(found.read_text())
+    (path,) = (tmp_path / "outputs").rglob("metrics.json")
+    content = json.loads(path.read_text())
     assert (content["size"], content["num_train"], content["num_test"]) == ("cophy", 28, 4)
     assert content["dataset_ids"][0].startswith(
         {"blocktower": "3", "balls": "4", "collision": "2"}[scenario] + "-cophy-"
@@ -64,15 +64,15 @@ def test_a_row_on_released_data_fills_its_own_table(tree: CoPhyTree, tmp_path: P
 @pytest.mark.parametrize("other", ["generated", "filtered_cophy"])
 def test_a_row_on_released_data_fills_no_other_table(tree: CoPhyTree, tmp_path: Path, other: str) -> None:
     train(tree, tmp_path, "scenario=blocktower")
-    said = run("report", f"source={other}", f"outputs={tmp_path / 'outputs'}", "data_dir=nowhere", code=1)
-    assert f"metrics.json is skipped: its data are of source=cophy, and these tables of source={other}" in said
-    assert "none of the runs there can be reported" in said
+    printed = run("report", f"source={other}", f"outputs={tmp_path / 'outputs'}", "data_dir=nowhere", code=1)
+    assert f"metrics.json is skipped: its data are of source=cophy, and these tables of source={other}" in printed
+    assert "none of the runs there can be reported" in printed
 
 
 def test_a_row_on_generated_data_fills_no_table_of_released_ones(tiny_data: Path, tmp_path: Path) -> None:
     train_on_generated("model=copy_c", f"source.outputs={tmp_path}", data=tiny_data)
-    said = run("report", "source=cophy", f"outputs={tmp_path}", "data_dir=nowhere", code=1)
-    assert "its data are of source=generated, and these tables of source=cophy" in said
+    printed = run("report", "source=cophy", f"outputs={tmp_path}", "data_dir=nowhere", code=1)
+    assert "its data are of source=generated, and these tables of source=cophy" in printed
 
 
 @pytest.mark.slow
@@ -84,10 +84,10 @@ def test_the_audit_of_released_data_ends_in_their_faults(tree: CoPhyTree, tmp_pa
 
 def opened(tree: CoPhyTree, data_dir: Path, *overrides: str) -> Any:
     """The index that a training with these overrides reads."""
-    chosen = settings("train", "source=cophy", f"source.root={tree.root}", *overrides)
-    count = chosen.split.test.num_objects
-    (experiments,) = chosen.source.experiment_sets(
-        chosen.scenario, chosen.split, [count], size=chosen.size, data_seed=0, data_dir=data_dir
+    config = settings("train", "source=cophy", f"source.root={tree.root}", *overrides)
+    count = config.split.test.num_objects
+    (experiments,) = config.source.experiment_sets(
+        config.scenario, config.split, [count], size=config.size, data_seed=0, data_dir=data_dir
     )
     return experiments
 
@@ -114,9 +114,9 @@ def test_confounders_that_nobody_knows_are_not_given(tmp_path: Path, needed: boo
     for name in IDS:
         tree.generated_tower(name)
     tree.lists("blocktowerCF", "_3_normal", **LISTS)
-    released, chosen = make(opened(tree, tmp_path)), settings("train", "source=cophy")
+    released, config = make(opened(tree, tmp_path)), settings("train", "source=cophy")
     data = CounterfactualDataModule(
-        chosen.split, train_set=released, test_set=released, batch_size=8, workers=1, needs_confounders=needed
+        config.split, train_set=released, test_set=released, batch_size=8, workers=1, needs_confounders=needed
     )
     data.prepare_data()
     if needed:
@@ -147,7 +147,9 @@ def test_the_audit_says_what_holds_and_what_does_not_apply(tree: CoPhyTree, tmp_
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", ["tower", "balls", "collision"])
+@pytest.mark.parametrize(
+    "kind", ["tower", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("balls", "collision"))]
+)
 def test_an_audit_of_three_experiments_audits_what_it_can(tmp_path: Path, kind: str) -> None:
     tree = CoPhyTree(tmp_path / "CoPhy_224", clips=False)
     for name in "012":

@@ -11,7 +11,7 @@ from cophy.report.runs import read_line
 from tests.commands import train
 
 RUN = "seed0+size-tiny+max_epochs-1"
-HALVES = ("scenario=balls", "trainer.max_epochs=1")
+HALVES = ("scenario=balls",)
 
 
 def result(root: Path, split: str) -> dict:
@@ -30,55 +30,47 @@ def test_splits_with_the_same_training_half_train_once(tiny_data: Path, tmp_path
     assert result(tmp_path, "4to3")["training_seconds"] == result(tmp_path, "4to4")["training_seconds"]
     named = "scenario.task.splits=[4to4,4to2,4to3,4to5,4to6,mine]"  # a split more does not train the others again
     assert "already trained" in train("-m", *HALVES, named, "split=4to3", f"hydra.sweep.dir={tmp_path}", data=tiny_data)
-    alone = train(*HALVES, "split=4to3", f"hydra.run.dir={tmp_path / 'alone'}", data=tiny_data)
-    assert "already trained" not in alone
-    metrics = json.loads((tmp_path / "alone" / "metrics.json").read_text())["metrics"]
-    assert metrics == result(tmp_path, "4to3")["metrics"]  # reuse changes no number
+    check_given_checkpoint(tmp_path, tiny_data)
 
 
-def test_a_given_checkpoint_is_tested_instead_of_training(tiny_data: Path, tmp_path: Path) -> None:
-    train(*HALVES, "split=4to4", f"source.outputs={tmp_path}", data=tiny_data)
-    kept = tmp_path / "kept.ckpt"
-    kept.write_bytes((tmp_path / f"balls/4to4/cophynet/full/ground_truth/{RUN}/checkpoints/best.ckpt").read_bytes())
-    train(*HALVES, "split=4to3", f"source.outputs={tmp_path}", data=tiny_data)
-    trained = result(tmp_path, "4to3")
-    elsewhere = (*HALVES, "split=4to3", f"predictor={kept}", f"source.outputs={tmp_path / 'elsewhere'}")
-    train(*elsewhere, data=tiny_data)
-    tested = result(tmp_path / "elsewhere", "4to3")
+def check_given_checkpoint(outputs: Path, data: Path) -> None:
+    """Check that a checkpoint given as predictor= is tested instead of training, with the same numbers."""
+    kept = outputs / "kept.ckpt"
+    kept.write_bytes((outputs / f"balls/4to4/cophynet/full/ground_truth/{RUN}/checkpoints/best.ckpt").read_bytes())
+    trained = result(outputs, "4to3")
+    elsewhere = (*HALVES, "split=4to3", f"predictor={kept}", f"source.outputs={outputs / 'elsewhere'}")
+    train(*elsewhere, data=data)
+    tested = result(outputs / "elsewhere", "4to3")
     alike = ("metrics", "intervals", "validation", "max_epochs", "dataset_ids", "variant")
     assert [tested[key] for key in alike] == [trained[key] for key in alike]
     assert (trained["predictor"], tested["predictor"]) == (None, sha256(kept)[:8])
     assert tested["training_seconds"] == 0
-    line = read_line(next((tmp_path / "elsewhere").rglob("metrics.json")))
+    line = read_line(next((outputs / "elsewhere").rglob("metrics.json")))
     assert line["is_trained"]  # not here, but it is no copy
-    assert not list((tmp_path / "elsewhere").rglob("*.ckpt"))
-    for key, own in {
-        "seed=1": "seed=0",
-        "trainer.max_epochs=2": "trainer.max_epochs=1",
-        "optimizer=soap": "_target_",
-    }.items():
-        printed = train(*elsewhere, key, data=tiny_data, code=1)
-        assert f"{kept} belongs to another training (" in printed
-        assert own in printed
+    assert not list((outputs / "elsewhere").rglob("*.ckpt"))
+    printed = train(*elsewhere, "seed=1", "trainer.max_epochs=2", "optimizer=soap", data=data, code=1)
+    assert f"{kept} belongs to another training (" in printed
+    assert all(difference in printed for difference in ("seed=0", "trainer.max_epochs=1", "_target_"))
     assert "metrics.json belongs to a training with these settings" in train(
-        *HALVES, "split=4to3", f"predictor={kept}", f"source.outputs={tmp_path}", data=tiny_data, code=1
+        *HALVES, "split=4to3", f"predictor={kept}", f"source.outputs={outputs}", data=data, code=1
     )
-    assert result(tmp_path, "4to3") == trained
-    train(*elsewhere, data=tiny_data)  # its own it may replace
+    assert result(outputs, "4to3") == trained
+    train(*elsewhere, data=data)  # its own it may replace
 
 
-def test_a_checkpoint_that_does_not_state_its_seed_is_not_tested(tiny_data: Path, tmp_path: Path) -> None:
-    train(*HALVES, "split=4to4", "model=in", f"hydra.run.dir={tmp_path}", data=tiny_data)
-    best = tmp_path / "checkpoints" / "best.ckpt"
+def test_a_checkpoint_that_does_not_state_its_seed_is_not_tested(
+    copied_run: Path, tiny_data: Path, tmp_path: Path
+) -> None:
+    best = copied_run / "checkpoints" / "best.ckpt"
     saved = torch.load(best, weights_only=True)
     del saved["origin"]["seed"], saved["origin"]["trainer"]
     torch.save(saved, best)
-    given = (f"predictor={best}", f"hydra.run.dir={tmp_path / 'tested'}", "model=in")
-    assert "does not state its seed" in train(*HALVES, *given, data=tiny_data, code=1)
+    keys = ("scenario=collision", f"predictor={best}", f"hydra.run.dir={tmp_path / 'tested'}")
+    assert "does not state its seed" in train(*keys, data=tiny_data, code=1)
 
 
 def test_a_training_on_half_of_the_data_takes_twice_the_epochs(tiny_data: Path, tmp_path: Path) -> None:
-    train("trainer.max_epochs=1", "split=3to3_unseen", f"hydra.run.dir={tmp_path}", data=tiny_data)
+    train("split=3to3_unseen", f"hydra.run.dir={tmp_path}", data=tiny_data)
     assert json.loads((tmp_path / "metrics.json").read_text())["max_epochs"] == 2
     assert torch.load(tmp_path / "checkpoints" / "last.ckpt", weights_only=True)["epoch"] == 1
 
@@ -94,13 +86,12 @@ def test_curves_are_of_the_last_training_alone(tiny_data: Path, tmp_path: Path) 
     assert not curves_in(tmp_path).keys() & first.keys()
 
 
-def test_another_training_is_not_reused(tiny_data: Path, tmp_path: Path) -> None:
-    place = (*HALVES, f"source.outputs={tmp_path}")
-    train(*place, data=tiny_data)
+def test_another_training_is_not_reused(copied_run: Path, tiny_data: Path, tmp_path: Path) -> None:
+    place = ("scenario=collision", f"hydra.run.dir={copied_run}")
     assert "already trained" in train(*place, data=tiny_data)
     assert "already trained" not in train(*place, "reuse=false", data=tiny_data)
-    assert "already trained" not in train(*place, "training.learning_rate=0.002", data=tiny_data)
-    assert "already trained" not in train(*place, "seed=1", data=tiny_data)
+    other = ("training.learning_rate=0.002", f"source.outputs={tmp_path}")
+    assert "already trained" not in train(place[0], *other, data=tiny_data)
 
 
 def test_a_failed_row_is_noted_and_the_others_run(tiny_data: Path, tmp_path: Path) -> None:
@@ -127,6 +118,7 @@ def users_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[object
     return "--config-dir", tmp_path / "conf", "model=own", "scenario=collision"
 
 
+@pytest.mark.slow
 def test_a_training_of_other_code_is_not_reused(
     tiny_data: Path, tmp_path: Path, users_model: tuple[object, ...]
 ) -> None:
@@ -136,6 +128,7 @@ def test_a_training_of_other_code_is_not_reused(
         assert ("already trained" in train(*place, data=tiny_data, apart=True)) == reused
 
 
+@pytest.mark.slow
 def test_a_model_that_crashes_in_a_sweep_leaves_its_traceback(
     tiny_data: Path, tmp_path: Path, users_model: tuple[object, ...]
 ) -> None:
@@ -146,10 +139,9 @@ def test_a_model_that_crashes_in_a_sweep_leaves_its_traceback(
     assert "TypeError" in logged
 
 
-def test_checkpoints_of_an_earlier_training_are_not_tested(tiny_data: Path, tmp_path: Path) -> None:
+def test_checkpoints_of_an_earlier_training_are_not_tested(copied_run: Path, tiny_data: Path) -> None:
     """A training that never validates has no best checkpoint; the old one must not stand in for it."""
-    train("scenario=collision", f"hydra.run.dir={tmp_path}", data=tiny_data)
-    (tmp_path / "metrics.json").unlink()  # with it, the directory is that of another run
+    (copied_run / "metrics.json").unlink()  # with it, the directory is that of another run
     without = ("trainer.limit_val_batches=0", "training.learning_rate=0.001")
-    train("scenario=collision", *without, f"hydra.run.dir={tmp_path}", data=tiny_data, code=1)
-    assert not (tmp_path / "metrics.json").exists()
+    train("scenario=collision", *without, f"hydra.run.dir={copied_run}", data=tiny_data, code=1)
+    assert not (copied_run / "metrics.json").exists()

@@ -1,4 +1,4 @@
-"""A training that is stopped goes on to the result it would have had, by the same command."""
+"""A training that is stopped continues to the result it would have had, with the same command."""
 
 import json
 import signal
@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from cophy.training import PredictionModule
 from tests.commands import ON_TWO, train
 from tests.conftest import ROOT
 
@@ -31,18 +32,40 @@ def stopped(directory: Path, data: Path, how: signal.Signals, *devices: str) -> 
     while process.poll() is None and (not last.exists() or last.stat().st_mtime_ns == before):
         time.sleep(0.01)
     process.send_signal(how)
-    _, said = process.communicate(timeout=60)
-    assert not (directory / "metrics.json").exists(), said
-    assert devices or "Traceback" not in said  # a process that loses the others cannot help one
+    _, printed = process.communicate(timeout=60)
+    assert not (directory / "metrics.json").exists(), printed
+    assert devices or "Traceback" not in printed  # a process that loses the others cannot help one
     return process.returncode
 
 
-@pytest.mark.parametrize(
-    "keys",
-    [(), pytest.param(("optimizer=soap",), marks=pytest.mark.slow), pytest.param(ON_TWO, marks=pytest.mark.slow)],
-    ids=["one device", "SOAP", "two devices"],
-)
-def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(
+class Killed(BaseException):
+    """The end of a process, which nothing in it can handle."""
+
+
+def test_a_killed_training_continues_to_the_result_it_would_have_had(
+    tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def kill_in_second_epoch(module: PredictionModule) -> None:
+        if module.current_epoch == 1:
+            raise Killed
+
+    keys = ("scenario=collision", "trainer.max_epochs=3")
+    train(*keys, f"hydra.run.dir={tmp_path / 'whole'}", data=tiny_data)
+    part = (*keys, f"hydra.run.dir={tmp_path / 'part'}")
+    with monkeypatch.context() as patched:
+        patched.setattr(PredictionModule, "on_train_epoch_start", kill_in_second_epoch, raising=False)
+        with pytest.raises(Killed):
+            train(*part, data=tiny_data)
+    assert not (tmp_path / "part" / "metrics.json").exists()
+    assert "continues where it stopped" in train(*part, data=tiny_data)
+    whole, resumed = result(tmp_path / "whole"), result(tmp_path / "part")
+    assert (whole["resumed"], resumed["resumed"]) == (0, 1)
+    assert {key: whole[key] for key in whole.keys() - TIMES} == {key: resumed[key] for key in resumed.keys() - TIMES}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("keys", [(), ("optimizer=soap",), ON_TWO], ids=["one device", "SOAP", "two devices"])
+def test_a_stopped_training_continues_to_the_result_it_would_have_had(
     tiny_data: Path, tmp_path: Path, keys: tuple[str, ...]
 ) -> None:
     apart = keys is ON_TWO
@@ -59,7 +82,8 @@ def test_a_stopped_training_goes_on_to_the_result_it_would_have_had(
     assert result(part)["resumed"] == 2
 
 
-@pytest.mark.parametrize("other", ["training.learning_rate=0.003", pytest.param("reuse=false", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("other", ["training.learning_rate=0.003", "reuse=false"])
 def test_another_training_does_not_go_on_with_it(tiny_data: Path, tmp_path: Path, other: str) -> None:
     stopped(tmp_path, tiny_data, signal.SIGKILL)
     last = (tmp_path / "checkpoints" / "last.ckpt").read_bytes()
@@ -68,19 +92,22 @@ def test_another_training_does_not_go_on_with_it(tiny_data: Path, tmp_path: Path
     assert (tmp_path / "checkpoints" / "last_of_stopped.ckpt").read_bytes() == last  # hours of work, perhaps
 
 
-def test_a_longer_training_goes_on_with_the_best_so_far(tiny_data: Path, tmp_path: Path) -> None:
+def test_a_longer_training_continues_with_the_best_so_far(trained_run: Path, tiny_data: Path, tmp_path: Path) -> None:
     """Its further epoch is not validated, so that the best one is of the shorter training."""
-    keys = ("scenario=collision", "model=in", f"hydra.run.dir={tmp_path / 'long'}")
-    train(*keys[:2], "trainer.max_epochs=3", f"hydra.run.dir={tmp_path / 'short'}", data=tiny_data)
-    best = torch.load(tmp_path / "short" / "checkpoints" / "best.ckpt", weights_only=True)
-    given = tmp_path / "short" / "checkpoints" / "last.ckpt"
-    train(*keys, "trainer.max_epochs=4", "trainer.limit_val_batches=0", f"ckpt={given}", data=tiny_data)
+    best = torch.load(trained_run / "checkpoints" / "best.ckpt", weights_only=True)
+    keys = (
+        "scenario=collision",
+        "trainer.max_epochs=2",
+        "trainer.limit_val_batches=0",
+        f"hydra.run.dir={tmp_path / 'long'}",
+    )
+    ckpt = f"ckpt={trained_run / 'checkpoints' / 'last.ckpt'}"
+    train(*keys, ckpt, data=tiny_data)
     tested = torch.load(tmp_path / "long" / "checkpoints" / "best.ckpt", weights_only=True)
     assert tested["global_step"] == best["global_step"]
-    assert result(tmp_path / "long")["validation"] == result(tmp_path / "short")["validation"]
+    assert result(tmp_path / "long")["validation"] == result(trained_run)["validation"]
     assert result(tmp_path / "long")["resumed"] == 1
-    again = ("trainer.max_epochs=4", "trainer.limit_val_batches=0", f"ckpt={given}")
-    assert "already trained" in train(*keys, *again, data=tiny_data)
+    assert "already trained" in train(*keys, ckpt, data=tiny_data)
 
 
 def test_a_time_limit_ends_the_training(tiny_data: Path, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from tests.conftest import tiny_spec
 ROWS = ("-m", "scenario=collision", "hydra/launcher=local", "hydra.launcher.n_jobs=2")
 
 
+@pytest.mark.slow
 def test_runs_side_by_side_make_missing_data_once(tmp_path: Path) -> None:
     places = (f"hydra.sweep.dir={tmp_path / 'outputs'}", "+row=copy_b,copy_c,in,npe")
     printed = train(*ROWS, *places, data=tmp_path / "data", apart=True)
@@ -26,6 +27,7 @@ def test_runs_side_by_side_make_missing_data_once(tmp_path: Path) -> None:
     assert "Epoch 0" not in printed  # bars of several runs would overwrite each other
 
 
+@pytest.mark.slow
 def test_all_runs_that_failed_are_listed_at_the_end(tiny_data: Path, tmp_path: Path) -> None:
     note = tmp_path / "of_another_sweep" / "failure.json"  # that fails while this one runs
     note.parent.mkdir()
