@@ -10,8 +10,10 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
+from unittest.mock import patch
 
 import torch
+from hydra._internal.hydra import Hydra
 from hydra.core.hydra_config import HydraConfig
 
 from tests.conftest import ROOT
@@ -20,16 +22,16 @@ ON_TWO = ("trainer.devices=2", "trainer.strategy=ddp", "trainer.accelerator=cpu"
 
 
 def run(script: str, *arguments: object, code: int = 0) -> str:
-    """What a command prints; its exit code has to be `code`."""
+    """Return what a command prints; its exit code has to be `code`."""
     ended, text = ending(script, *arguments)
     assert ended == code, text[-3000:]
     return text
 
 
 def ending(script: str, *arguments: object) -> tuple[int, str]:
-    """The exit code of a command, and what it prints."""
+    """Return the exit code of a command, and what it prints."""
     printed = io.StringIO()
-    with _as_left(), redirect_stdout(printed), redirect_stderr(printed), _arguments(script, *arguments) as path:
+    with _restored(), redirect_stdout(printed), redirect_stderr(printed), _arguments(script, *arguments) as path:
         ended = 0
         try:
             runpy.run_path(path, run_name="__main__")
@@ -43,7 +45,7 @@ def ending(script: str, *arguments: object) -> tuple[int, str]:
 
 
 def run_apart(script: str, *arguments: object, code: int = 0) -> str:
-    """The same in an interpreter of its own, for what only that shows."""
+    """Run a command in a process of its own, where that is what is tested."""
     command = [sys.executable, str(ROOT / "src" / f"{script}.py"), *map(str, arguments)]
     result = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert result.returncode == code, result.stderr[-3000:]
@@ -51,11 +53,11 @@ def run_apart(script: str, *arguments: object, code: int = 0) -> str:
 
 
 def train(*arguments: object, data: Path, code: int = 0, apart: bool = False) -> str:
-    """A run on tiny data, with one epoch and without figures, which take longer than that, unless told otherwise."""
+    """A run on tiny data, with one epoch and without figures, which take longer than that, unless arguments say otherwise."""
     usual = {"trainer.max_epochs": "1", "logger": "[]"}
-    told = {str(argument).partition("=")[0] for argument in arguments}
-    keys = [f"{key}={value}" for key, value in usual.items() if key not in told]
-    return (run_apart if apart else run)("train", *arguments, "size=tiny", f"data_dir={data}", *keys, code=code)
+    keys = {str(argument).partition("=")[0] for argument in arguments}
+    defaults = [f"{key}={value}" for key, value in usual.items() if key not in keys]
+    return (run_apart if apart else run)("train", *arguments, "size=tiny", f"data_dir={data}", *defaults, code=code)
 
 
 @contextmanager
@@ -70,14 +72,15 @@ def _arguments(script: str, *arguments: object) -> Iterator[str]:
 
 
 @contextmanager
-def _as_left() -> Iterator[None]:
+def _restored() -> Iterator[None]:
     """Undo what a command changes for the whole process."""
     logger = logging.getLogger()
     handlers, level = logger.handlers[:], logger.level
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a command goes on
-            yield
+            warnings.simplefilter("ignore")  # a command continues
+            with patch.object(Hydra, "get_mode", return_value=None):  # -m decides; reading hydra.mode composes twice
+                yield
     finally:
         for handler in logger.handlers:
             if handler not in handlers:  # the command's own
