@@ -13,7 +13,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, Override
 
 from cophy.report.paper_tables import paper_tables
-from tests.conftest import ROOT, settings
+from tests.conftest import ROOT, cached_settings
 
 README = ROOT / "README.md"
 PAGES = [README, *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)]
@@ -97,7 +97,7 @@ def test_every_command_composes() -> None:
     composed = set()
     for script, words in sorted(finished, key=lambda command: -len(command[1])):
         if not composed >= names(script, words):
-            settings(script, *map(first_choice, OverridesParser.create().parse_overrides(list(words))))
+            cached_settings(script, *map(first_choice, OverridesParser.create().parse_overrides(list(words))))
             composed |= names(script, words)
     assert {script for script, _ in composed} == {path.stem for path in (ROOT / "src").glob("*.py")}
 

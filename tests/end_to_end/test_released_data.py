@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cophy.audit.released import audit_released
+from cophy.config import settings
 from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.errors import CophyError
 from tests.commands import run
 from tests.commands import train as train_on_generated
-from tests.conftest import settings
 from tests.released.indexing import make
 from tests.released.trees import CoPhyTree
 
