@@ -120,7 +120,7 @@ def test_confounders_that_nobody_knows_are_not_given(tmp_path: Path, needed: boo
     )
     data.prepare_data()
     if needed:
-        with pytest.raises(CophyError, match="does not tell all true confounders"):
+        with pytest.raises(CophyError, match="does not contain all true confounders"):
             data.setup()
     else:
         data.setup()

@@ -61,5 +61,5 @@ def test_a_disk_that_is_full_before_a_run_begins_is_named(
     sweep = ("-m", "scenario=collision", "+row=copy_b", "seed=0,1", f"hydra.sweep.dir={tmp_path}")
     printed = train(*sweep, data=tiny_data, code=1)
     assert "no space left" in printed
-    assert "the same command goes on" in printed
+    assert "run the same command to continue" in printed
     assert "Traceback" not in printed
