@@ -32,7 +32,7 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     (estimates,) = tiny_data.rglob(f"derendered-{TrainedDerenderer(row / 'checkpoints' / 'best.ckpt').name}")
     whole = {path.name: path.read_bytes() for path in estimates.iterdir() if path.suffix in (".h5", ".json")}
     shutil.rmtree(estimates)
-    assert "part 1 of 2 is whole, others are not yet" in run(*derender, "part=1", "parts=2")
+    assert "part 1 of 2 is complete, others are not" in run(*derender, "part=1", "parts=2")
     run(*derender, "part=0", "parts=2")
     assert len(whole) == 3
     assert {name: (estimates / name).read_bytes() for name in whole} == whole
