@@ -77,6 +77,24 @@ def test_intact_shards_are_not_replaced_where_they_cannot_be_read(
     assert {path.name: path.stat().st_mtime_ns for path in directory.glob("shard-*")} == before
 
 
+def test_shards_without_permission_to_read_are_not_damaged(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> str:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    directory = copy(finished, tmp_path)
+    before = {path.name: path.stat().st_ino for path in directory.glob("shard-*")}
+    with monkeypatch.context() as patched:
+        patched.setattr("cophy.dataset.shards.sha256", refuse)
+        with pytest.raises(PermissionError, match="shard-00000"):
+            generate(tmp_path)
+        with pytest.raises(PermissionError, match="shard-00000"):
+            States(SPEC, tmp_path).load()
+    assert {path.name: path.stat().st_ino for path in directory.glob("shard-*")} == before
+    assert digests(directory) == digests(finished)
+
+
 def test_a_dataset_is_generated_on_a_file_system_without_locks(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

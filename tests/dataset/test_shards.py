@@ -89,6 +89,19 @@ def test_an_error_of_the_operating_system_is_not_damage(tmp_path: Path, monkeypa
         pass
 
 
+def test_a_file_is_read_where_it_cannot_be_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def open_without_locks(path: Path, mode: str, locking: bool | None = None) -> h5py.File:
+        if locking is not False:
+            raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+        return file_class(path, mode, locking=False)
+
+    path, file_class = tmp_path / "shard.h5", h5py.File
+    path.write_bytes(encode(ARRAYS, FIELDS, {}))
+    monkeypatch.setattr(h5py, "File", open_without_locks)
+    with open_file(path, FIELDS, {}) as stored:
+        np.testing.assert_array_equal(stored["mass"][()], ARRAYS["mass"])
+
+
 @pytest.mark.parametrize("content", [b"", b"no HDF5", b"\x89HDF\r\n\x1a\n"])
 def test_a_file_that_is_not_hdf5_is_damaged(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "shard.h5"

@@ -1,6 +1,7 @@
 """Trainings, sweeps and reports on tiny data, by the commands of the README."""
 
 import json
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,7 @@ def test_a_fast_dev_run_takes_a_step_and_leaves_no_results(tiny_data: Path, tmp_
     train("scenario=collision", "trainer.fast_dev_run=true", f"hydra.run.dir={tmp_path}", data=tiny_data)
     assert not (tmp_path / "metrics.json").exists()
     assert not (tmp_path / "checkpoints").exists()
+    assert logging.raiseExceptions  # errors in log calls are shown during and after a run
 
 
 def test_the_same_seed_gives_the_same_numbers_and_another_does_not(

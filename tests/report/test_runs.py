@@ -88,13 +88,14 @@ def test_metrics_json_with_all_facts_needs_no_configuration(tmp_path: Path) -> N
     assert read_runs(tmp_path, not_checked).iloc[0][["epochs", "metric_dims"]].tolist() == [20, 2]
 
 
-def test_faults_of_the_code_keep_their_traceback(tmp_path: Path) -> None:
+@pytest.mark.parametrize("fault", [AttributeError, KeyError, TypeError, ValueError])
+def test_faults_of_the_code_keep_their_traceback(tmp_path: Path, fault: type[Exception]) -> None:
     leave(tmp_path / PLACE, json.dumps(content()))
 
     def faulty(scenario: str, size: str) -> None:
-        raise AttributeError("a fault")
+        raise fault("a fault")
 
-    with pytest.raises(AttributeError, match="a fault"):
+    with pytest.raises(fault, match="a fault"):
         read_runs(tmp_path, faulty)
 
 
