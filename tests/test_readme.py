@@ -12,11 +12,12 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, Override
 
-from cophy.report.paper_tables import paper_tables
+from cophy.report.paper_tables import methods, paper_tables
 from tests.conftest import ROOT, cached_settings
 
 README = ROOT / "README.md"
 PAGES = [README, *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)]
+GROUPS = {path.parent.relative_to(ROOT / "conf").as_posix() for path in (ROOT / "conf").rglob("*/*.yaml")}
 SHELL_VARIABLE = re.compile(r"^ +([A-Z])=(\S+)", re.MULTILINE)
 COMMAND = re.compile(r"(?:python src/|(?<![/\w])cophy-(?=\w+ ))(\w+)(?:\.py)?\b([^`\n]*)")
 UNFINISHED = ("…", "<", "--help", "--config-dir")  # not to be composed as it stands
@@ -36,21 +37,13 @@ def commands(page: Path) -> list[tuple[str, ...]]:
     return [(script, *shlex.split(words, comments=True)) for script, words in COMMAND.findall(text)]
 
 
-def first_choice(override: Override) -> str:
-    """Return the override of the first run of a sweep."""
-    line = str(override.input_line)
+def choices(override: Override) -> list[str]:
+    """Return the values of an override: those of all its runs, where it is a sweep."""
     if not override.is_sweep_override():
-        return line
-    key = line.split("=")[0]
+        return [override.get_value_element_as_str()]
     if isinstance(override.value(), Glob):
-        return f"{key}={min(path.stem for path in (ROOT / 'conf' / key).iterdir())}"
-    return f"{key}={next(override.sweep_string_iterator())}"
-
-
-def is_choice(word: str) -> bool:
-    """Return whether an override chooses from a group of configurations."""
-    key = word.lstrip("+").split("=")[0]
-    return key in ("row", "table") or (ROOT / "conf" / key).is_dir()
+        return override.value().filter([path.stem for path in (ROOT / "conf" / override.key_or_group).iterdir()])
+    return list(override.sweep_string_iterator())
 
 
 def run(directory: Path, *words: str) -> str:
@@ -82,23 +75,25 @@ def test_a_command_that_goes_on_has_its_rest_on_the_next_line(page: Path) -> Non
 
 
 def test_every_command_composes() -> None:
-    """Commands are composed until every key, and every choice of a group, occurs in one that composes."""
-
-    def names(script: str, words: tuple[str, ...]) -> set[tuple[str, str]]:
-        keys = [word if is_choice(word) else word.split("=")[0] for word in words]
-        return {(script, key) for key in ("", *keys)}
-
-    finished = {
+    """Every choice exists. Commands are composed, the longest first, until every key of theirs has been composed once."""
+    documented = {
         (script, tuple(word.split("|")[0] for word in words if word != "-m"))  # `balls|collision`: either
         for page in PAGES
         for script, *words in commands(page)
         if not any(mark in word for word in words for mark in UNFINISHED)
     }
+    known = {group: {path.stem for path in (ROOT / "conf" / group).glob("*.yaml")} for group in GROUPS}
+    known |= {"row": set(methods()), "table": {table.id for table in paper_tables()}}
     composed = set()
-    for script, words in sorted(finished, key=lambda command: -len(command[1])):
-        if not composed >= names(script, words):
-            cached_settings(script, *map(first_choice, OverridesParser.create().parse_overrides(list(words))))
-            composed |= names(script, words)
+    for script, words in sorted(documented, key=lambda command: -len(command[1])):
+        overrides = OverridesParser.create().parse_overrides(list(words))
+        keys = {override.get_key_element(): choices(override) for override in overrides}
+        for key, values in keys.items():
+            assert set(values) <= known.get(key.lstrip("+"), set(values)), f"{script} {' '.join(words)}"
+        needed = {(script, key) for key in ("", *keys)}
+        if not composed >= needed:
+            cached_settings(script, *(f"{key}={values[0]}" for key, values in keys.items()))
+            composed |= needed
     assert {script for script, _ in composed} == {path.stem for path in (ROOT / "src").glob("*.py")}
 
 

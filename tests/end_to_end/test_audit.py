@@ -4,14 +4,16 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 
+from cophy.audit import report
 from tests.commands import run, train
 from tests.dataset.copies import SPEC, copy
 
 
 def audit(data: Path, **kwargs: int) -> str:
     where = (f"data_dir={data}", f"directory={data}/audit")
-    return run("audit", "scenario=collision", "size=tiny", "replayed_pairs=2", *where, **kwargs)
+    return run("audit", "scenario=collision", "size=tiny", "replayed_pairs=1", *where, **kwargs)
 
 
 def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_path: Path) -> None:
@@ -25,11 +27,13 @@ def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_pat
     (page,) = tmp_path.glob("audit/*/audit.md")
     assert "FAILS" not in page.read_text()
     assert all(page.with_name(f"{name}.png").stat().st_size > 10_000 for name in ("outcomes", "bias"))
-    assert "lines hold (2 twin pairs" in shard.with_name("README.md").read_text()
+    assert "lines hold (1 twin pairs" in shard.with_name("README.md").read_text()
 
 
-def test_audit_names_what_is_wrong(tiny_data: Path, tmp_path: Path) -> None:
+def test_audit_names_what_is_wrong(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Consistent checksums do not save a dataset whose twins do not belong together, or whose states are no numbers."""
+    for check in ("check_bias", "check_resimulation", "check_convergence", "check_identifiability"):  # these take long
+        monkeypatch.setattr(report, check, lambda *_: ())
     shard = copy(SPEC.directory(tiny_data), tmp_path) / "shard-00000.h5"
     with h5py.File(shard, "r+") as file:
         file["split"][0] = 2 - file["split"][0]
