@@ -118,6 +118,15 @@ def test_predictions_are_read_as_they_were_written(tmp_path: Path, tower_batch: 
         read_predictions(tmp_path)
 
 
+def test_predictions_that_may_not_be_read_are_not_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, *args: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(PermissionError):
+        read_predictions(tmp_path)
+
+
 def test_a_run_at_its_place_knows_the_root_of_all_runs(run: Run) -> None:
     run = replace(run, variant="+size-tiny")
     place = Path("balls/4to4/cophynet/full/ground_truth/seed1+size-tiny")

@@ -248,6 +248,8 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
             arrays = {name: file[name] for name in ("initial", "presence", "target", "position", "pair", *optional)}
         _check_arrays(arrays)
     except (OSError, ValueError, KeyError, EOFError, MemoryError, BadZipFile, zlib.error) as error:
+        if isinstance(error, OSError) and error.errno not in (None, errno.ENOENT):
+            raise  # the operating system refuses access: nothing is known about the file
         raise CophyError(f"{path} is missing or damaged ({error}): run its train.py command again") from error
     return arrays
 
