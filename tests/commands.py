@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import torch
@@ -63,6 +64,14 @@ def train(*arguments: object, data: Path, code: int = 0, apart: bool = False) ->
     return (run_apart if apart else run)("train", *arguments, "size=tiny", f"data_dir={data}", *defaults, code=code)
 
 
+_read_mode = Hydra.get_mode
+
+
+def _mode(hydra: Hydra, config_name: str | None, overrides: list[str]) -> Any:
+    """Return the mode that -m decides, without a second composition to read hydra.mode; only +table= sets that."""
+    return _read_mode(hydra, config_name, overrides) if any("+table=" in word for word in overrides) else None
+
+
 @contextmanager
 def _arguments(script: str, *arguments: object) -> Iterator[str]:
     path, before = str(ROOT / "src" / f"{script}.py"), (sys.argv, sys.path[:])
@@ -82,7 +91,7 @@ def _restored() -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a command continues
-            with patch.object(Hydra, "get_mode", return_value=None):  # -m decides; reading hydra.mode composes twice
+            with patch.object(Hydra, "get_mode", _mode):
                 yield
     finally:
         for handler in logger.handlers:

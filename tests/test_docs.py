@@ -79,6 +79,7 @@ def test_the_data_reference_has_every_array() -> None:
             assert f"| `{field}` |" in page, field
 
 
+@pytest.mark.slow
 def test_the_figures_are_drawn_from_tiny_data(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = ROOT / "docs" / "figures"
     (tmp_path / "data").symlink_to(tiny_data)

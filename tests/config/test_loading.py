@@ -111,7 +111,8 @@ if __name__ == "__main__":
 """
 
 
-def test_a_hydra_program_of_somebody_else_loads_data_and_goes_on(tiny_data: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_hydra_program_of_somebody_else_loads_data_and_continues(tiny_data: Path, tmp_path: Path) -> None:
     """Its configuration has the name of one of ours."""
     (tmp_path / "train.yaml").write_text("data: here")
     (tmp_path / "program.py").write_text(PROGRAM)

@@ -66,6 +66,7 @@ def test_a_long_one_ends_with_a_hash_of_all_of_it() -> None:
     assert all(len(each) <= LONGEST + 1 for each in found)
 
 
+@pytest.mark.slow
 def test_every_value_of_a_sweep_has_a_directory_and_is_trained_once(tiny_data: Path, tmp_path: Path) -> None:
     sweep = (
         "-m",
