@@ -201,16 +201,16 @@ def keys_of(file: str, *more: str, _root_: DictConfig) -> str:
             "-<group>" leaves a group of the file out.
     """
     added = [name for name in more if not name.startswith("-")]
-    chosen = _root_.hydra.runtime.choices
+    current = _root_.hydra.runtime.choices
     choices = []
     for group in [*_groups(file), *(name for name in added if "." not in name)]:
         options = GlobalHydra.instance().config_loader().get_group_options(group.lstrip("+"), ObjectType.CONFIG)
         if len(options) > 1 and f"-{group}" not in more:
-            choices += _entry(f"{group}={_plain(chosen.get(group, ''))}", ", ".join(options))
+            choices += _entry(f"{group}={_plain(current.get(group, ''))}", ", ".join(options))
     meanings = read_meanings(file)
     for name in (name for name in added if "." in name):
         group, _, key = name.partition(".")
-        meanings[name] = read_meanings(f"{group}/{chosen[group]}")[key]
+        meanings[name] = read_meanings(f"{group}/{current[group]}")[key]
     lines = ["Choices:", *choices, "", "Keys:"] if choices else ["Keys:"]
     for key, meaning in meanings.items():
         lines += _entry(f"{key}={_value(_root_, key)}", meaning)

@@ -12,14 +12,10 @@ from cophy.schemas import DerenderConfig
 
 @cli.command("derender")
 def main(cfg: DictConfig) -> None:
-    from cophy.training.trained import (
-        TrainedDerenderer,
-        derender,  # torch takes seconds to import; --help does not need it
-        find_derenderer,
-    )
+    from cophy.training.trained import TrainedDerenderer, derender, find_derenderer  # --help does not wait for torch
 
     settings = to_config(cfg, DerenderConfig)
-    chosen = experiments_of(settings, settings.num_objects)
+    sets = experiments_of(settings, settings.num_objects)
     if settings.derenderer is not None:
         derenderer = TrainedDerenderer(Path(settings.derenderer))
     else:
@@ -27,4 +23,4 @@ def main(cfg: DictConfig) -> None:
         derenderer = find_derenderer(Path(settings.outputs), settings.scenario.name, counts, settings.split.name)
     part, parts = settings.part, settings.parts
     needed = FRAMES[settings.frames]
-    derender(chosen, derenderer, needed, part=part, parts=parts, workers=settings.workers)
+    derender(sets, derenderer, needed, part=part, parts=parts, workers=settings.workers)

@@ -183,8 +183,8 @@ def check_checkpoints(config: TrainConfig, origin: dict[str, Any], network: "nn.
     from cophy.training.checkpoints import check_resumable, check_trained
 
     ckpt, predictor = path_of(config.ckpt), path_of(config.predictor)
-    given = {"ckpt": ckpt, "predictor": predictor, "trainer.fast_dev_run": config.trainer.fast_dev_run or None}
-    for key, value in given.items():
+    values = {"ckpt": ckpt, "predictor": predictor, "trainer.fast_dev_run": config.trainer.fast_dev_run or None}
+    for key, value in values.items():
         if value is not None and not is_trainable(network):
             raise CophyError(f"{key}={value}: {name} has nothing to train")
     if predictor is not None and isinstance(network, Derenderer):

@@ -1,1 +1,1 @@
-"""Images and figures: of a dataset (`look.py`), of predictions (`predict.py`, TensorBoard, the report), and of frames."""
+"""Images and figures for `look.py`, `predict.py`, TensorBoard and the report."""

@@ -125,10 +125,10 @@ def draw_studies(studies: Sequence[StudyAnswers]) -> dict[str, Figure]:
 def _draw(study: StudyAnswers, clicks: pd.DataFrame, title: str) -> Figure:
     """Draw twin pairs below each other, twins next to each other."""
     pairs = (clicks["experiment"] // 2).value_counts().sort_index().sort_values(ascending=False, kind="stable")
-    shown = sorted(pairs.index[:NUM_PAIRS].tolist())
-    figure = Figure(figsize=(6.4, 0.8 + 3.3 * len(shown)), layout="constrained")
-    axes = figure.subplots(len(shown), 2, squeeze=False)
-    for pair, row in zip(shown, axes, strict=True):
+    drawn_pairs = sorted(pairs.index[:NUM_PAIRS].tolist())
+    figure = Figure(figsize=(6.4, 0.8 + 3.3 * len(drawn_pairs)), layout="constrained")
+    axes = figure.subplots(len(drawn_pairs), 2, squeeze=False)
+    for pair, row in zip(drawn_pairs, axes, strict=True):
         for twin, axis in enumerate(row):
             experiment = 2 * pair + twin
             _draw_experiment(axis, study, experiment, clicks[clicks["experiment"] == experiment])
