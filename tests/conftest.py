@@ -3,7 +3,7 @@
 import copy
 import functools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,6 +29,13 @@ SCENARIOS = {"blocktower": 3, "balls": 4, "collision": 2}  # with the number of 
 
 register(models=True)
 torch.set_num_threads(1)
+
+
+def quick_first(values: Iterable[Any], count: int = 1) -> list[Any]:
+    """Return parameters of a test of which only the first few run in the quick suite."""
+    return [
+        pytest.param(value, marks=[] if number < count else [pytest.mark.slow]) for number, value in enumerate(values)
+    ]
 
 
 @functools.cache

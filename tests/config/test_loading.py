@@ -38,7 +38,8 @@ def test_items_are_what_is_stored(name: str, tiny_data: Path) -> None:
                 np.testing.assert_array_equal(value.numpy(), stored[field][rows[item]])
 
 
-def test_pictures_are_read_when_asked_for_by_any_process(tiny_data: Path) -> None:
+@pytest.mark.slow
+def test_images_are_read_on_access_by_any_process(tiny_data: Path) -> None:
     data = cophy.load(
         "collision",
         size="tiny",

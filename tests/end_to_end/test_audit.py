@@ -16,6 +16,7 @@ def audit(data: Path, **kwargs: int) -> str:
     return run("audit", "scenario=collision", "size=tiny", "replayed_pairs=1", *where, **kwargs)
 
 
+@pytest.mark.slow
 def test_a_damaged_shard_stops_training_with_its_remedy(tiny_data: Path, tmp_path: Path) -> None:
     shard = copy(SPEC.directory(tiny_data), tmp_path) / "shard-00001.h5"
     shard.write_bytes(shard.read_bytes()[:1000])

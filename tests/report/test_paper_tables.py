@@ -11,6 +11,7 @@ from cophy.config import CONF
 from cophy.oracles.forecasts import ORACLES
 from cophy.report.paper_tables import PaperTable, methods, paper_tables
 from tests.commands import train
+from tests.conftest import quick_first
 
 
 @cache
@@ -21,7 +22,7 @@ def choices_of(row: str) -> tuple[str, str]:
     return choices["model"], choices["ablation"]
 
 
-@pytest.mark.parametrize("table", paper_tables(), ids=lambda table: table.id)
+@pytest.mark.parametrize("table", quick_first(paper_tables(), 3), ids=lambda table: table.id)
 def test_the_sweep_of_a_table_runs_what_its_cells_show(table: PaperTable) -> None:
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("train", [f"+table={table.id}"], return_hydra_config=True)
@@ -59,7 +60,8 @@ def test_every_split_of_a_table_is_tested_by_every_oracle(scenario: str) -> None
     assert oracles <= set(params["+row"].split(","))
 
 
-def test_a_table_is_trimmed_by_saying_what_is_wanted(tiny_data: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_table_is_reduced_by_overrides(tiny_data: Path, tmp_path: Path) -> None:
     part = ("+table=collision", "split=all", "+row=copy_b,copy_c", "seed=0,1", f"hydra.sweep.dir={tmp_path}")
     train(*part, data=tiny_data)
     found = {(path.parts[-6], path.parts[-5], path.parts[-2]) for path in tmp_path.rglob("metrics.json")}

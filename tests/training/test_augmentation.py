@@ -40,7 +40,10 @@ def some(matrices: np.ndarray) -> np.ndarray:
     return matrices[:: max(1, len(matrices) // 8 - 1)]
 
 
-@pytest.mark.parametrize(("name", "num_objects"), [("blocktower", 3), ("balls", 3), ("collision", 2)])
+@pytest.mark.parametrize(
+    ("name", "num_objects"),
+    [("collision", 2), *(pytest.param(*each, marks=pytest.mark.slow) for each in (("blocktower", 3), ("balls", 3)))],
+)
 def test_a_turned_scene_moves_as_the_turned_prediction_says(
     name: str, num_objects: int, scenario_of, simulator: Simulator
 ) -> None:
