@@ -15,12 +15,9 @@ from unittest.mock import patch
 
 import torch
 from hydra._internal.hydra import Hydra
-from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 
 from tests.conftest import ROOT
-
-ConfigStore.__deepcopy__ = lambda self, memo: self  # type: ignore[attr-defined]  # Hydra copies it for each job: 0.3 s
 
 ON_TWO = ("trainer.devices=2", "trainer.strategy=ddp", "trainer.accelerator=cpu")
 

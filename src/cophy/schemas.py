@@ -387,6 +387,8 @@ def register(*, models: bool = False) -> None:
 
         schemas["model"] |= {name: schema_of(getattr(cophy.models, name)) for name in cophy.models.__all__}
     store = ConfigStore.instance()
+    # Hydra copies the whole store for each composition, and 184 times for --help: 5 s. What it loads from it is a copy anyway.
+    store.__deepcopy__ = lambda memo: store  # type: ignore[attr-defined]
     for group, choices in schemas.items():
         for name, schema in choices.items():
             store.store(group=f"schema/{group}", name=name, node=schema)
