@@ -48,6 +48,36 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_older_one(
     assert [file.read_bytes() for file in path.parent.iterdir()] == [before]
 
 
+class RunsCode:
+    """Would create a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.path,)
+
+
+def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
+    path, victim = tmp_path / "best.ckpt", tmp_path / "code_ran"
+    torch.save({"state_dict": {}, "hook": RunsCode(victim)}, path)
+    with pytest.raises(CophyError, match=r"best\.ckpt is not a checkpoint of train\.py"):
+        WholeCheckpoints({}, tmp_path).load_checkpoint(path)
+    with pytest.raises(CophyError, match=r"best\.ckpt is not a checkpoint of train\.py"):
+        read_checkpoint(path.read_bytes(), path)
+    assert not victim.exists()
+
+
+def test_only_checkpoints_of_the_run_are_removed(tmp_path: Path) -> None:
+    own, elsewhere, other = tmp_path / "run" / "best.ckpt", tmp_path / "best.ckpt", tmp_path / "run" / "notes.txt"
+    own.parent.mkdir()
+    for path in (own, elsewhere, other):
+        path.touch()
+        WholeCheckpoints({}, own.parent).remove_checkpoint(path)
+    WholeCheckpoints({}, own.parent).remove_checkpoint(own.parent / ".." / "best.ckpt")
+    assert [path.exists() for path in (own, elsewhere, other)] == [False, True, True]
+
+
 def test_a_flipped_byte_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
     path, rng = tmp_path / "best.ckpt", np.random.default_rng(0)
     checkpoint = {"weights": torch.arange(300.0), "epoch": 3}
