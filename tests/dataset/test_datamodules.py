@@ -144,7 +144,7 @@ def test_a_learning_curve_trains_on_the_first_experiments_and_tests_on_all(tiny_
 def test_no_frames_are_drawn_that_nobody_sees(
     estimated: list[str], looked_at: dict[int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of towers of four only the test experiments are read."""
+    """For towers of four, only the test experiments are read."""
     requested: dict[int, str] = {}
     monkeypatch.setattr(generation, "ensure", lambda states, workers: None)
     monkeypatch.setattr(

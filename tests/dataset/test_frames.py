@@ -33,7 +33,7 @@ def test_frames_are_those_of_their_split(rendered: Images, tmp_path: Path) -> No
     assert batch.presence.sum(dim=1).tolist() == [2] * 10
     loader = data.train_dataloader()
     opened, order = iter(loader), loader.sampler
-    order.set_epoch(3)  # as Lightning does where a training goes on: only after it opened the loader
+    order.set_epoch(3)  # as Lightning does when a training resumes: only after it opened the loader
     wanted = [data.train[item].position for item in list(order)[:10]]
     np.testing.assert_array_equal(next(opened).position, np.stack(wanted))
     item = data.train[3]

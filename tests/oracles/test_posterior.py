@@ -215,7 +215,7 @@ def test_what_is_given_is_held_and_the_rest_is_drawn(tiny, simulator: Simulator)
         true[body.slot] = body.linear_velocity[:2]
     assert len(found["nothing"].counterfactuals) == len(found["velocity"].counterfactuals) == 8
     assert np.abs(at_start(found["velocity"]) - true).max() < 1e-9
-    assert found["nothing"].draw.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]  # twins are of one draw
+    assert found["nothing"].draw.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]  # twins share a draw
     assert found["confounders"].draw.tolist() == [0, 1, 2, 3]
     if scenario.name == "balls":  # of collisions, A may tell how they start
         for name in ("nothing", "confounders"):

@@ -63,7 +63,7 @@ def test_without_statics_all_configurations_are_as_likely(name: str, scenario_of
 
 
 def margin(scenario: Blocktower, c: Scene, configuration: int) -> float:
-    """Of a tower C of at most three blocks."""
+    """For a tower C of at most three blocks."""
     truth = scenario.confounders.decode(configuration, 3)
     load = Combinations(np.array([truth.mass]), np.array([truth.gravity_xy]) / -scenario.gravity_z)
     return float(scenario.statics.margins(*read_tower(c), load)[0, 0])

@@ -128,11 +128,10 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
                 record_finished(run, training_hash, facts)
         else:
             facts, tested = start.finished, start.checkpoint
-            validation = trainer.validate(
-                module, data, ckpt_path=tested, weights_only=True, verbose=False
-            )  # draws, too
+            # also draws the validation figures of a training that is not repeated
+            validation = trainer.validate(module, data, ckpt_path=tested, weights_only=True, verbose=False)
             if config.predictor is not None:
-                facts["validation"] = dict(*validation)
+                facts["validation"] = dict(validation[0])
         trainer.test(module, data, ckpt_path=tested, weights_only=True, verbose=False)
 
         if config.trainer.fast_dev_run:

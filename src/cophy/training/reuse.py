@@ -116,7 +116,7 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> 
     is_last = ckpt is not None and last.exists() and ckpt.samefile(last)
     if last.exists() and (stopped or is_last):
         log.warning(
-            "%s belongs to a training with other settings or code, or a shorter one: it becomes %s; this one starts from scratch",
+            "%s belongs to a training with other settings or code, or a shorter one: it is renamed to %s",
             *(last, last.with_name(STOPPED)),
         )
         os.replace(last, last.with_name(STOPPED))
