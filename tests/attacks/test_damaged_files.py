@@ -51,7 +51,7 @@ def truncate(path: Path, rng: random.Random) -> None:
 
 
 def flip_bit(path: Path, rng: random.Random) -> None:
-    content = bytearray(path.read_bytes())
+    content = bytearray(path.read_bytes() or b"\0")  # lock files are empty
     content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
     path.write_bytes(content)
 
@@ -113,7 +113,9 @@ ONE_EPOCH = ("trainer.max_epochs=1", "reuse=false")
 TREE = ("scenario=collision", "source=cophy", "source.root={world}/tree", "data_dir={world}/elsewhere")
 READERS = {  # commands that read a file, by its path in the world
     r"data/.*/(images|rgb)-.*": [Step("images", "train", (*DATA, *NEW, *ONE_EPOCH, *DERENDERER, "num_images=200"))],
-    r"data/.*/derendered-.*": [Step("estimates", "train", (*DATA, *TRAINING[:1], *NEW, *ONE_EPOCH, *ESTIMATED[:2]))],
+    r"data/.*/derendered-.*": [  # a run beside those of the world, whose de-renderer it finds
+        Step("estimates", "train", (*DATA, *TRAINING, *ONE_EPOCH, *ESTIMATED[:2], "seed=1"))
+    ],
     r"data/.*/oracles-.*": [Step("oracles", "train", (*DATA, *NEW, "model=oracle_feedforward"))],
     r"data/.*": [
         Step("states", "train", (*DATA, *NEW, *ONE_EPOCH, "model=in")),
