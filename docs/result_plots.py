@@ -1,4 +1,4 @@
-"""The plots of results.csv. A PNG holds a digest of its numbers, so that a check sees a plot of other numbers."""
+"""The plots of results.csv. A PNG holds a digest of its numbers, so that a check finds a plot of other numbers."""
 
 import hashlib
 import json
@@ -33,9 +33,9 @@ MEASURES = {
 
 
 def digest(data: Data) -> str:
-    """Return a digest of the numbers of a plot."""
+    """Return a digest of the numbers of a plot, and of the code that draws it."""
     text = json.dumps(data, default=lambda value: astuple(value) if is_dataclass(value) else str(value))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return hashlib.sha256((text + Path(__file__).read_text()).encode()).hexdigest()[:16]
 
 
 def is_of(path: Path, data: Data) -> bool:
