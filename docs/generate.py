@@ -1,0 +1,293 @@
+"""Rewrite what the documentation takes from data: python docs/generate.py [--check]
+
+Tables between `<!-- generated: NAME -->` and `<!-- end of generated: NAME -->`, in README.md, checkpoints/README.md and docs/, and
+the plots of docs/figures. They are made from docs/results/results.csv, the paper's numbers (paper_tables.yaml),
+docs/cophy/claims.yaml, docs/results/columns.csv and checkpoints/index.csv. With --check nothing is written; the command names
+what differs, and exits with 1.
+"""
+
+import re
+import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+
+from result_claims import claims
+from result_listings import checkpoints, column_meanings
+from result_runs import (
+    COLUMNS,
+    COPIES,
+    CURVES,
+    GIVEN_MORE,
+    LEARNED,
+    ORACLES,
+    ROOT,
+    SCENARIOS,
+    Results,
+    columns,
+    in_prose,
+    markdown,
+    published,
+    ratio,
+    title,
+)
+
+from cophy.report.paper_tables import ESTIMATED_IN_TESTING, PaperTable, paper_tables
+
+BLOCK = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end of generated: \1 -->", re.DOTALL)
+NOTHING = "–"
+PREDICTED = (*COPIES, *LEARNED, "alongside_noisy", "cophynet_feedforward", "in_sup", *ORACLES)
+README_COLUMNS = [("blocktower", "3to3"), ("blocktower", "3to4"), ("blocktower", "4to3"), ("balls", "4to4"), ("collision", "all"), ("collision", "sphere_to_cylinder")]  # fmt: skip
+README_METHODS = ("copy_b", "in", "cophynet", "alongside", "in_sup", "oracle_feedforward")
+ABLATIONS = ("confounder_probe", "architecture_ablation", "confounder_impact", "stability")
+PARTS = ("alongside", "alongside_no_impulses", "alongside_no_pair_memory", "alongside_no_replay")
+
+
+def main() -> None:
+    """Write or check every page and plot."""
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 and name what differs")
+    parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results" / "results.csv", help="the table")
+    arguments = parser.parse_args()
+    results = Results(arguments.results)
+    if different := [*update_pages(results, arguments.check), *update_plots(results, arguments.check)]:
+        sys.stdout.write("\n".join(different) + "\n")
+        sys.exit(1 if arguments.check else 0)
+
+
+def update_pages(results: Results, check: bool) -> Iterator[str]:
+    """Yield the generated blocks that differ; write them unless `check`."""
+    made = blocks(results)
+    pages = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
+    for page in [ROOT / "README.md", ROOT / "checkpoints" / "README.md", *pages]:
+        old = page.read_text()
+        names = BLOCK.findall(old)
+        if unknown := set(names) - set(made):
+            sys.exit(f"{page.relative_to(ROOT)}: no generated block {min(unknown)}; there are {', '.join(made)}")
+        text = {
+            name: f"<!-- generated: {name} -->\n\n{made[name]()}\n\n<!-- end of generated: {name} -->" for name in names
+        }
+        yield from (f"{page.relative_to(ROOT)}: {name}" for name in names if text[name] not in old)
+        new = BLOCK.sub(lambda found, text=text: text[found[1]], old)
+        if not check and new != old:
+            page.write_text(new)
+
+
+def update_plots(results: Results, check: bool) -> Iterator[str]:
+    """Yield the plots that show other numbers; draw them unless `check`."""
+    from result_plots import PLOTS, is_of, save
+
+    for name, (data_of, draw) in PLOTS.items():
+        path, data = ROOT / "docs" / "figures" / f"{name}.png", data_of(results)
+        if not is_of(path, data):
+            yield str(path.relative_to(ROOT))
+            if not check:
+                save(draw(data), path, data)
+
+
+def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
+    """Return the generated blocks by name."""
+    estimated = {"size": "small", "positions": ESTIMATED_IN_TESTING}
+    seen_in_training = {**columns("blocktower"), "3to3_seen": "3→3, seen"}
+    return {
+        **{f"leaderboard_{scenario}": partial(leaderboard, results, scenario) for scenario in SCENARIOS},
+        "ratio_to_copy_c": partial(ratio_to_copy_c, results),
+        "paper": paper,
+        "readme": partial(readme, results),
+        **{
+            f"{scenario}_{size}": partial(every_split, results, scenario, size, seen_in_training if scenario == "blocktower" else columns(scenario))
+            for scenario in SCENARIOS
+            for size in ("paper", "small")
+        },
+        **{f"{scenario}_estimated": partial(leaderboard, results, scenario, ("alongside_noisy",), ("in_sup",), **estimated) for scenario in SCENARIOS},
+        "table_1_paper": partial(of_paper_table, results, "human_comparison", "paper"),
+        "table_1_estimated": partial(of_paper_table, results, "human_comparison_derendered", "small"),
+        **{f"{name}_{size}": partial(of_paper_table, results, name, size) for name in ABLATIONS for size in ("paper", "small")},
+        "table_7_small": partial(of_paper_table, results, "training_positions", "small"),
+        "learning_curves": partial(learning_curves, results),
+        "data_seeds": partial(data_seeds, results),
+        "alongside_lead": partial(alongside_lead, results),
+        "alongside_parts": partial(alongside_parts, results),
+        "alongside_positions": partial(alongside_positions, results),
+        "claims": partial(claims, results),
+        "checkpoints": partial(checkpoints, results),
+        "columns": column_meanings,
+    }  # fmt: skip
+
+
+def leaderboard(
+    results: Results, scenario: str, more: tuple[str, ...] = (), given_more: tuple[str, ...] = GIVEN_MORE, **names: str
+) -> str:
+    """Test MSE: methods × splits of a scenario; the lowest of those that see what CoPhyNet sees is bold."""
+    splits, learned = columns(scenario), (*LEARNED, *more)
+    cells = {
+        (method, split): results.cell("mse", scenario, split, method, **names)
+        for method in (*COPIES, *learned, *given_more)
+        for split in splits
+    }
+    best = {split: min(cell.number() for method in learned if (cell := cells[method, split])) for split in splits}
+
+    def printed(method: str, split: str) -> str:
+        cell = cells[method, split]
+        text = NOTHING if cell is None else cell.short()
+        is_best = cell is not None and method in learned and cell.number() == best[split]
+        number, _, interval = text.partition(" ")
+        return f"**{number}** {interval}" if is_best else text
+
+    rows = [[title(method), *(printed(method, split) for split in splits)] for method in (*COPIES, *learned)]
+    line = [["*given the confounders or the simulator*", *[""] * len(splits)]]
+    rows += line + [[title(method), *(printed(method, split) for split in splits)] for method in given_more]
+    return markdown(["test MSE, m²", *splits.values()], rows)
+
+
+def ratio_to_copy_c(results: Results) -> str:
+    """MSE divided by that of copy C."""
+    shown = ("copy_b", *LEARNED, "in_sup")
+    rows = []
+    for scenario, split, label in COLUMNS:
+        copy_c = results.cell("mse", scenario, split, "copy_c")
+        cells = [results.cell("mse", scenario, split, method) for method in shown]
+        ratios = [ratio(cell.value, copy_c.value) if cell else NOTHING for cell in cells]
+        rows.append([f"{SCENARIOS[scenario]} {label}", *ratios])
+    return markdown(["MSE ÷ MSE of copy C", *map(title, shown)], rows)
+
+
+def paper() -> str:
+    """The paper's MSE with its ratio to the paper's copy C."""
+    shown = (*COPIES, "in", "npe", "cophynet", "in_sup")
+    rows = []
+    for scenario, split, label in COLUMNS:
+        cells = {method: published(scenario, split, method) for method in shown}
+        ratios = [f"{value:.3f} ({ratio(value, cells['copy_c'])})" for value in list(cells.values())[1:]]
+        rows.append([f"{SCENARIOS[scenario]} {label}", f"{cells['copy_c']:.3f}", *ratios])
+    names = [f"{title(method)}{' ᵉ' if method == 'cophynet' else ''}" for method in shown]
+    return markdown(["the paper's MSE, m²", *names], rows)
+
+
+def readme(results: Results) -> str:
+    """A few rows and columns of the leaderboard."""
+    header = [
+        "test MSE, m²",
+        *(f"{SCENARIOS[scenario]} {columns(scenario)[split]}" for scenario, split in README_COLUMNS),
+    ]
+    cells = [[results.cell("mse", *column, method) for column in README_COLUMNS] for method in README_METHODS]
+    return markdown(header, [[title(method), *(cell.number() if cell else NOTHING for cell in row)] for method, row in zip(README_METHODS, cells, strict=True)])  # fmt: skip
+
+
+def every_split(results: Results, scenario: str, size: str, splits: Mapping[str, str]) -> str:
+    """A table per split with every measure."""
+    parts = []
+    for split, label in splits.items():
+        rows = [measures(results, method, scenario, split, size) for method in PREDICTED]
+        run = results.of(scenario, split, "cophynet", size=size)[0]
+        head = f"{SCENARIOS[scenario]} {label}, n = {run['num_test']:,.0f}"
+        parts.append(markdown([head, "MSE, m²", "share, %", "twins, %", "right twin, %", "seeds"], filter(None, rows)))
+    return "\n\n".join(parts)
+
+
+def measures(results: Results, method: str, scenario: str, split: str, size: str) -> list[str] | None:
+    """Return a method's row with every measure; None where it was not run."""
+    names = (scenario, split, method)
+    if (mse := results.cell("mse", *names, size=size)) is None:
+        return None
+    others = [
+        results.cell(measure, *names, size=size)
+        for measure in ("share", "twin_difference_explained", "right_twin_chosen")
+    ]
+    has_seeds = not method.startswith(("copy", "oracle"))
+    seeds = f"{mse.seeds}" + (f", sd {mse.deviation:.3f}" if mse.seeds > 1 else "")
+    return [title(method), mse.full(), *(cell.full(0, 100) if cell else NOTHING for cell in others), seeds if has_seeds else NOTHING]  # fmt: skip
+
+
+def of_paper_table(results: Results, table_id: str, size: str) -> str:
+    """A table of the paper with methods as rows: our number, then the paper's in italics; empty rows are left out."""
+    table = next(table for table in paper_tables() if table.id == table_id)
+    rows: dict[str, dict[str, str]] = defaultdict(dict)
+    for row, column, names, number in table.cells():
+        if names.get("model") not in ("oracle_initial_velocity", "oracle_confounders"):
+            head, under = (column, row) if table.methods_in == "columns" else (row, column)
+            rows[head][under] = of_paper_cell(results, table, names, number, size)
+    shown = {head: cells for head, cells in rows.items() if set(cells.values()) != {NOTHING}}
+    return markdown(
+        ["ours *(the paper's)*", *next(iter(shown.values()))],
+        [[in_prose(head), *cells.values()] for head, cells in shown.items()],
+    )
+
+
+def of_paper_cell(results: Results, table: PaperTable, names: dict[str, str], number: float | None, size: str) -> str:
+    """Return our number and the paper's; nothing where we have none."""
+    if "model" not in names:  # human participants
+        return NOTHING
+    digits = 1 if names["metric"].startswith("pixel") else table.digits
+    keys = {key: names[key] for key in ("model", "ablation", "positions")}
+    cell = results.cell(names["metric"], names["scenario"], names["split"], keys, size=size)
+    if cell is None:
+        return NOTHING
+    return cell.short(digits, table.scale) + ("" if number is None else f" *({number:.{digits}f})*")
+
+
+def learning_curves(results: Results) -> str:
+    """MSE and twin difference explained over the number of training experiments."""
+    counts = {700: "700", 2800: "2,800", 8400: "8,400 ᵇ", 7000: "8,400 ᵇ", 14000: "14,000", 28310: "28,310"}
+    heads, rows = list(dict.fromkeys(counts.values())), defaultdict(lambda: dict.fromkeys(heads, NOTHING))
+    for point in results.learning_curves():
+        text = f"{point['mse'].number()}; {point['twin_difference_explained'].number(0, 100)} %"
+        rows[point["scenario"], point["method"]][counts[point["num_train"]]] = text
+    named = [[f"{SCENARIOS[scenario]}, {title(method)}", *row.values()] for (scenario, method), row in rows.items()]
+    return markdown(["training experiments", *heads], named)
+
+
+def data_seeds(results: Results) -> str:
+    """The same rows on two datasets of size=small."""
+    rows = []
+    for scenario, split in CURVES.items():
+        for method in (*COPIES, "in", "cophynet", "in_sup"):
+            cells = [
+                results.cell(measure, scenario, split, method, size="small", change=change)
+                for measure in ("mse", "twin_difference_explained")
+                for change in ("", r"\+data_seed-1")
+            ]
+            scaled = [cell.full(0, 100) if place > 1 else cell.full() for place, cell in enumerate(cells)]
+            rows.append([f"{SCENARIOS[scenario]}, {title(method)}", *scaled])
+    return markdown(
+        ["size=small", "MSE, data seed 0", "MSE, data seed 1", "twins, %, seed 0", "twins, %, seed 1"], rows
+    )
+
+
+def alongside_lead(results: Results) -> str:
+    """CoPhyNet as published, with as much CPU time and with SOAP, and alongside; size=small."""
+    kinds = (("cophynet", ""), ("cophynet", r"\+max_epochs-55"), ("cophynet", r"\+optimizer-soap"), ("alongside", ""))
+    rows = []
+    for scenario, split, label in COLUMNS:
+        cells = [results.cell("mse", scenario, split, name, size="small", change=change) for name, change in kinds]
+        rows.append([f"{SCENARIOS[scenario]} {label}", *(cell.short() if cell else NOTHING for cell in cells)])
+    return markdown(["MSE, m², size=small", "CoPhyNet", "CoPhyNet, 55 epochs", "CoPhyNet, SOAP", "alongside"], rows)
+
+
+def alongside_parts(results: Results) -> str:
+    """One part left out at a time; size=small."""
+    rows = []
+    for model in PARTS:
+        names = {"model": model, "ablation": "full"}
+        cells = [results.cell(measure, *column, names, size="small") for column in CURVES.items() for measure in ("mse", "twin_difference_explained")]  # fmt: skip
+        pairs = zip(cells[::2], cells[1::2], strict=True)
+        rows.append([f"`{model}`", *(f"{mse.short()}; {twins.number(0, 100)} %" for mse, twins in pairs)])
+    return markdown(["MSE, m²; twins", *(f"{SCENARIOS[name]} {columns(name)[split]}" for name, split in CURVES.items())], rows)  # fmt: skip
+
+
+def alongside_positions(results: Results) -> str:
+    """True and estimated positions; size=small."""
+    rows = []
+    for method in ("cophynet", "alongside", "alongside_noisy"):
+        for positions, label in (("ground_truth", "true"), (ESTIMATED_IN_TESTING, "estimated")):
+            cells = [
+                results.cell("mse", *column, method, size="small", positions=positions) for column in CURVES.items()
+            ]
+            rows.append([title(method), label, *(cell.short() for cell in cells)])
+    return markdown(["MSE, m²", "positions", *(f"{SCENARIOS[name]} {columns(name)[split]}" for name, split in CURVES.items())], rows)  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

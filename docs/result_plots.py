@@ -1,0 +1,137 @@
+"""The plots of results.csv. A PNG holds a digest of its numbers, so that a check finds a plot of other numbers."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import astuple, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+from PIL import Image
+from result_runs import COLUMNS, CURVE_METHODS, SCENARIOS, Results, title
+
+Data = list[dict[str, Any]]
+
+DIGEST = "Digest of data"
+STYLES = {  # marker, colour, and shift within a group of the leaderboard
+    "copy_b": ("x", "#888888", 0),
+    "in": ("v", "#56a0d3", -0.16),
+    "npe": ("^", "#b8a000", 0.16),
+    "cophynet": ("o", "#0b4f8a", -0.16),
+    "alongside": ("D", "#c8442c", 0),
+    "in_sup": ("s", "#3f9f5f", 0.16),
+}
+SPACING = {"blocktower": 1.0, "balls": 1.0, "collision": 1.8}  # of the columns: collisions have long names
+MEASURES = {
+    "mse": ("test MSE, m²", 1),
+    "share": ("share of the possible gain, %", 100),
+    "twin_difference_explained": ("twin difference explained, %", 100),
+}
+
+
+def digest(data: Data) -> str:
+    """Return a digest of the numbers of a plot, and of the code that draws it."""
+    text = json.dumps(data, default=lambda value: astuple(value) if is_dataclass(value) else str(value))
+    return hashlib.sha256((text + Path(__file__).read_text()).encode()).hexdigest()[:16]
+
+
+def is_of(path: Path, data: Data) -> bool:
+    """Whether a picture shows these numbers."""
+    if not path.exists():
+        return False
+    with Image.open(path) as picture:
+        return bool(picture.info.get(DIGEST) == digest(data))
+
+
+def save(figure: Figure, path: Path, data: Data) -> None:
+    """Write a picture of these numbers."""
+    figure.savefig(path, dpi=120, metadata={DIGEST: digest(data), "Software": None})
+    plt.close(figure)
+
+
+def relative_to_oracle(results: Results) -> Data:
+    """Return the MSE of every method and column, divided by that of the oracle without AB."""
+    lines = []
+    for scenario, split, label in COLUMNS:
+        oracle = results.cell("mse", scenario, split, "oracle_feedforward")
+        for method in STYLES:
+            cell = results.cell("mse", scenario, split, method)
+            ratio = round(cell.value / oracle.value, 6) if cell and oracle else float("nan")
+            lines.append({"scenario": scenario, "label": label, "method": method, "ratio": ratio})
+    return lines
+
+
+def draw_leaderboard(data: Data) -> Figure:
+    """A group per column, a marker per method; 1 is the oracle without AB."""
+    figure, axis = plt.subplots(figsize=(8, 4.2), layout="constrained")
+    places, last = [], 0.0
+    for (scenario, _, _), (before, _, _) in zip(COLUMNS, [COLUMNS[0], *COLUMNS], strict=False):
+        last += SPACING[scenario] + 0.6 * (scenario != before)
+        places.append(last)
+    for method, (marker, color, shift) in STYLES.items():
+        ratios = [point["ratio"] for point in data if point["method"] == method]
+        axis.plot([place + shift for place in places], ratios, marker, color=color, markersize=7, label=title(method))
+    for place, (scenario, _, label) in zip(places, COLUMNS, strict=True):
+        ratios = [point["ratio"] for point in data if (point["scenario"], point["label"]) == (scenario, label)]
+        axis.plot([place, place], [min(ratios), max(ratios)], color="#dddddd", linewidth=1, zorder=0)
+    axis.axhline(1, color="black", linewidth=1)
+    axis.text(1.005, 1, "oracle\nwithout\nAB", transform=axis.get_yaxis_transform(), va="center", fontsize=10)
+    axis.set(
+        yscale="log", ylabel="test MSE ÷ MSE of the oracle without AB", ylim=(0.045, 2.8), xlim=(0.3, places[-1] + 0.7)
+    )
+    ticks = (0.05, 0.1, 0.2, 0.5, 1, 2)
+    axis.yaxis.set_major_locator(FixedLocator(ticks))
+    axis.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+    axis.yaxis.set_minor_formatter(NullFormatter())
+    axis.tick_params(axis="y", which="minor", left=False)
+    axis.set_xticks(places, [label.replace("→c", "→\nc").replace("→s", "→\ns") for _, _, label in COLUMNS], fontsize=9)
+    for name in SCENARIOS:
+        group = [place for place, (scenario, _, _) in zip(places, COLUMNS, strict=True) if scenario == name]
+        axis.text(sum(group) / len(group), 2.45, SCENARIOS[name], ha="center", fontsize=11, weight="bold")
+    axis.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=10, handletextpad=0.1, columnspacing=1.2)
+    return figure
+
+
+def draw_learning_curves(data: Data) -> Figure:
+    """A row of panels per scenario, a panel per measure; bands are 95 % intervals."""
+    figure, axes = plt.subplots(len(SCENARIOS), len(MEASURES), figsize=(8, 7.5), layout="constrained", sharex="row")
+    for row, (scenario, name) in zip(axes, SCENARIOS.items(), strict=True):
+        for axis, (measure, (label, scale)) in zip(row, MEASURES.items(), strict=True):
+            for method in CURVE_METHODS:
+                marker, color, _ = STYLES[method]
+                curve = [point for point in data if (point["scenario"], point["method"]) == (scenario, method)]
+                counts, cells = [point["num_train"] for point in curve], [point[measure] for point in curve]
+                axis.plot(
+                    counts,
+                    [scale * cell.value for cell in cells],
+                    marker,
+                    ls="-",
+                    color=color,
+                    label=title(method),
+                    ms=5,
+                )
+                ends = [[scale * getattr(cell, end) for cell in cells] for end in ("low", "high")]
+                axis.fill_between(counts, *ends, color=color, alpha=0.15)
+            axis.set(xscale="log", yscale="log" if measure == "mse" else "linear")
+            axis.xaxis.set_major_locator(FixedLocator(counts))
+            axis.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick / 1000:.3g}k"))
+            axis.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+            axis.minorticks_off()
+            if measure == "mse":
+                axis.yaxis.set_major_locator(FixedLocator([0.03, 0.1, 0.2, 0.3, 0.5, 1, 2, 4]))
+            axis.tick_params(labelsize=9)
+            axis.set_title(label if scenario == "blocktower" else "", fontsize=10)
+        row[0].set_ylabel(name, fontsize=11, weight="bold")
+    axes[-1][1].set_xlabel("training experiments")
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+PLOTS: dict[str, tuple[Callable[[Results], Data], Callable[[Data], Figure]]] = {
+    "leaderboard": (relative_to_oracle, draw_leaderboard),
+    "learning_curves": (Results.learning_curves, draw_learning_curves),
+}

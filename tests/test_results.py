@@ -1,0 +1,124 @@
+"""Tables, plots and claims of the documentation are those of results.csv."""
+
+import csv
+import hashlib
+import importlib
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from tests.conftest import ROOT
+
+TABLE = ROOT / "docs" / "results" / "results.csv"
+COLLISION = {
+    "scenario": "collision",
+    "split": "all",
+    "model": "alongside",
+    "ablation": "full",
+    "size": "paper",
+    "seed": "0",
+}
+
+
+@pytest.fixture
+def generate(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    return importlib.import_module("generate")
+
+
+def differences(generate: ModuleType, table: Path) -> Iterator[str]:
+    results = generate.Results(table)
+    yield from generate.update_pages(results, check=True)
+    yield from generate.update_plots(results, check=True)
+
+
+def changed(path: Path, mse: str, names: dict[str, str] = COLLISION, **others: str) -> Path:
+    """A copy of results.csv in which the runs of these names have another MSE, and other columns."""
+    runs = pd.read_csv(TABLE, dtype=str, keep_default_na=False)
+    chosen = (runs[list(names)] == pd.Series(names)).all(axis=1) & (runs["variant"] == "+size-paper")
+    assert chosen.sum() == 1
+    runs.loc[chosen, ["mse", *others]] = [mse, *others.values()]
+    runs.to_csv(path, index=False)
+    return path
+
+
+def test_what_is_generated_is_of_results_csv(generate: ModuleType) -> None:
+    assert list(differences(generate, TABLE)) == [], "run: python docs/generate.py"
+
+
+def test_a_changed_number_is_found_in_every_table_and_plot(generate: ModuleType, tmp_path: Path) -> None:
+    found = set(differences(generate, changed(tmp_path / "results.csv", "0.5")))
+    assert {
+        "docs/benchmark/leaderboard.md: leaderboard_collision",
+        "docs/benchmark/leaderboard.md: ratio_to_copy_c",
+        "docs/cophy/tables.md: collision_paper",
+        "docs/cophy/tables.md: learning_curves",
+        "docs/figures/leaderboard.png",
+        "docs/figures/learning_curves.png",
+    } <= found
+    assert not any("blocktower" in name or "balls" in name or "small" in name for name in found)
+
+
+def test_the_command_rewrites_what_differs(
+    generate: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("README.md", "checkpoints/README.md", "checkpoints/index.csv", "docs/benchmark/leaderboard.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(ROOT / name, tmp_path / name)
+    monkeypatch.setattr(generate, "ROOT", tmp_path)
+    results = generate.Results(changed(tmp_path / "results.csv", "0.5"))
+    assert list(generate.update_pages(results, check=True)) == list(generate.update_pages(results, check=False))
+    assert list(generate.update_pages(results, check=True)) == []
+    assert "0.183³" in (tmp_path / "docs/benchmark/leaderboard.md").read_text()
+
+
+def test_an_unknown_block_is_named(generate: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("README.md", "checkpoints/README.md"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("<!-- generated: none -->\n<!-- end of generated: none -->\n")
+    monkeypatch.setattr(generate, "ROOT", tmp_path)
+    with pytest.raises(SystemExit, match=r"README\.md: no generated block none; there are leaderboard_blocktower"):
+        list(generate.update_pages(generate.Results(TABLE), check=True))
+
+
+def test_another_learning_rate_fills_a_cell_that_has_no_other_run(generate: ModuleType) -> None:
+    results = generate.Results(TABLE)
+    assert results.cell("mse", "blocktower", "4to4", "alongside").short().startswith("0.211ᵃ ±")
+    assert results.cell("mse", "blocktower", "3to3", "cophynet_single_step").mark == ""
+
+
+def test_seeds_on_other_data_are_not_averaged(generate: ModuleType, tmp_path: Path) -> None:
+    results = generate.Results(changed(tmp_path / "results.csv", "0.5", datasets="2-old"))
+    with pytest.raises(SystemExit, match="several datasets"):
+        results.cell("mse", "collision", "all", "alongside")
+
+
+def test_a_comparison_counts_intervals_that_do_not_overlap(generate: ModuleType, tmp_path: Path) -> None:
+    claims: Any = importlib.import_module("result_claims")
+    names = {"method": "cophynet", "than": ["alongside"], "columns": ["collision all", "blocktower 4to4"]}
+    assert claims.compared(generate.Results(TABLE), **names) == {"won": "0 of 2", "verdict": "✗"}
+    table = changed(tmp_path / "results.csv", "9", mse_low="8", mse_high="10")
+    assert claims.compared(generate.Results(table), **names) == {"won": "1 of 2", "verdict": "~"}
+
+
+def test_every_column_has_a_meaning() -> None:
+    with (ROOT / "docs" / "results" / "columns.csv").open(newline="") as lines:
+        meanings = {line["column"]: line["meaning"] for line in csv.DictReader(lines)}
+    assert list(meanings) == list(pd.read_csv(TABLE, nrows=0).columns)
+    assert all(meanings.values())
+
+
+def test_the_table_has_no_negative_zero() -> None:
+    assert not pd.read_csv(TABLE, dtype=str, keep_default_na=False).isin(["-0", "-0.0"]).any(axis=None)
+
+
+def test_the_hashes_of_published_weights_are_true() -> None:
+    with (ROOT / "checkpoints" / "index.csv").open(newline="") as lines:
+        hashes = {line["file"]: line["sha256"] for line in csv.DictReader(lines)}
+    files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (ROOT / "checkpoints").glob("*.ckpt")}
+    assert hashes == files
