@@ -1,7 +1,7 @@
 """Speed as ratios within one run: just bench [training|generation|loading|startup|report ...]
 
 Prints a table and writes outputs/bench-<topic>.json. CPU times of one thread, medians of several pairs of runs;
-docs/benchmark/performance.md explains each ratio. Without a topic, all are measured (about 20 minutes).
+docs/contributing.md lists the ratios. Without a topic, all are measured (about 20 minutes).
 """
 
 import json

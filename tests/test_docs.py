@@ -74,7 +74,7 @@ def test_every_page_that_the_code_names_exists() -> None:
 
 
 def test_the_data_reference_has_every_array() -> None:
-    page = (ROOT / "docs" / "data" / "index.md").read_text()
+    page = (ROOT / "docs" / "guides" / "data.md").read_text()
     for name in SCENARIOS:
         for field in experiment_fields(tiny_spec(name), 1):
             assert f"| `{field}` |" in page, field

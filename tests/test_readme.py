@@ -20,7 +20,8 @@ PAGES = [README, *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_bui
 GROUPS = {path.parent.relative_to(ROOT / "conf").as_posix() for path in (ROOT / "conf").rglob("*/*.yaml")}
 SHELL_VARIABLE = re.compile(r"^ +([A-Z])=(\S+)", re.MULTILINE)
 COMMAND = re.compile(r"(?:python src/|(?<![/\w])cophy-(?=\w+ ))(\w+)(?:\.py)?\b([^`\n]*)")
-UNFINISHED = ("…", "<", "--help", "--config-dir")  # not to be composed as it stands
+# not to be composed as it stands; Optuna is not installed by default, SLURM sets its variables
+UNFINISHED = ("…", "<", "--help", "--config-dir", "hydra/sweeper=", "$SLURM")
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 MAX_README_LINES = 90
 
@@ -61,8 +62,8 @@ def test_the_readme_is_short() -> None:
     assert len(README.read_text().splitlines()) <= MAX_README_LINES
 
 
-def test_the_page_of_commands_names_every_choice() -> None:
-    page = (ROOT / "docs" / "commands.md").read_text()
+def test_the_training_guide_names_every_choice() -> None:
+    page = (ROOT / "docs" / "guides" / "training.md").read_text()
     choices = {table.id for table in paper_tables()}
     for group in ("scenario", "split", "size", "model", "ablation", "render", "source", "confounders"):
         choices |= {path.stem for path in (ROOT / "conf" / group).glob("*.yaml")}

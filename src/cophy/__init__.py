@@ -13,16 +13,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cophy.errors import CophyError as CophyError
     from cophy.loading import load as load
     from cophy.loading import load_predictor as load_predictor
 
 __version__ = "0.1.0"
-__all__ = ["load", "load_predictor"]
-_MODULES = {"load": "cophy.loading", "load_predictor": "cophy.loading"}
+__all__ = ["CophyError", "load", "load_predictor"]
+_MODULES = {"CophyError": "cophy.errors", "load": "cophy.loading", "load_predictor": "cophy.loading"}
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public function on first use, because it needs every subpackage and each of them imports this file."""
+    """Import a public name on first use, because it needs every subpackage and each of them imports this file."""
     if name in _MODULES:
         return getattr(import_module(_MODULES[name]), name)
     raise AttributeError(f"module 'cophy' has no attribute '{name}'")

@@ -1,4 +1,4 @@
-"""docs/extending.md, followed to the letter: a model in one Python file and one YAML file, in a folder of its own."""
+"""docs/guides/extending.md, followed to the letter: a model in one Python file and one YAML file, in a folder of its own."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from tests.conftest import ROOT
 
 def blocks(language: str) -> list[str]:
     """The code blocks of the page."""
-    return re.findall(rf"```{language}\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), re.DOTALL)
+    return re.findall(rf"```{language}\n(.*?)```", (ROOT / "docs" / "guides" / "extending.md").read_text(), re.DOTALL)
 
 
 @pytest.mark.slow

@@ -127,7 +127,7 @@ def test_participants_of_another_study_have_no_session(site: Site) -> None:
 
 @pytest.mark.parametrize("deleted", [0, 2])
 def test_the_next_participant_takes_the_number_of_a_deleted_one(site: Site, deleted: int) -> None:
-    """Deletion as in docs/study.md; the plan stays balanced."""
+    """Deletion as in the docstring of cophy.study.answers; the plan stays balanced."""
     browsers = [site.participant() for _ in range(3)]
     for browser in browsers:
         take_task(browser)

@@ -264,7 +264,7 @@ class CounterfactualDataModule(L.LightningDataModule):
 class ExperimentDataset(Dataset[dict[str, Tensor]]):
     """Experiments of one split: states and confounders in memory, images read on access.
 
-    An item maps the names of the fields (docs/data/index.md) to the arrays of one experiment. If an array has two sequences, 0 is
+    An item maps the names of the fields (docs/guides/data.md) to the arrays of one experiment. If an array has two sequences, 0 is
     the observed AB and 1 the counterfactual CD. Images: rgb (2, T, R, R, 3) uint8; depth (2, T, R, R) int32, mm;
     segmentation (2, T, R, R) uint8. Items of one dataset have equal shapes, so a DataLoader batches them.
 

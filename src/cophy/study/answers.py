@@ -1,6 +1,22 @@
 """Checks of participants' answers, and the SQLite file that stores them.
 
-docs/study.md explains the tables of the file.
+The file is in WAL mode; an answer is on disk before the page continues. Times are seconds since 1970 (UTC), measured by the
+server. Its tables:
+
+- studies. study: name of a study, which follows from the data and from `study.*`. description: scenario, split, dataset,
+  resolution and seconds, as JSON.
+- participants. kind: `person`, or the kind of a simulated participant; they are never counted together. number: in the plan,
+  from 0. token_hash: SHA-256 of the session's token. platform_hash: HMAC-SHA-256 of the platform's id, or NULL; anyone who has
+  this file and a list of ids can tell which of them took part. code: completion code. consented_at, finished_at.
+- answers. position: of the task, from 0; practice comes first. practice: 1 for practice, which no table counts. experiment: index
+  in the dataset. setting: `non_cf` or `cf`. opened_at, begun_at, answered_at: when the task was first sent, its clock began, its
+  answer arrived. late: 1 if no answer arrived within `study.seconds` + `study.tolerance_s`. undone: clicks taken back.
+  names_shown: whether names were shown on the objects. input: mouse, touch, pen or keyboard. window_width, window_height: CSS
+  pixels. digest: of the answer, so that the same answer may be sent twice.
+- clicks. slot: of the object. x, y: pixels of the image. at_ms: milliseconds after the clock began; NULL if not clicked.
+
+To delete a participant's answers: `SELECT id FROM participants WHERE code = '...'`; delete from `clicks` and `answers` where
+`participant` is this id, then from `participants`. The next new participant takes the free place in the plan.
 """
 
 import sqlite3

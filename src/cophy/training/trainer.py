@@ -1,6 +1,6 @@
 """Lightning's Trainer as every run uses it: callbacks, loggers, checkpoints, devices.
 
-On several devices there is one process per device, started by Lightning or SLURM (docs/sweeps.md), and each runs the whole
+On several devices there is one process per device, started by Lightning or SLURM (docs/guides/clusters.md), and each runs the whole
 command. The first process decides and writes.
 """
 
