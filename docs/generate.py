@@ -39,9 +39,17 @@ from cophy.report.paper_tables import ESTIMATED_IN_TESTING, PaperTable, paper_ta
 BLOCK = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end of generated: \1 -->", re.DOTALL)
 NOTHING = "–"
 PREDICTED = (*COPIES, *LEARNED, "alongside_noisy", "cophynet_feedforward", "in_sup", *ORACLES)
-README_COLUMNS = [("blocktower", "3to3"), ("blocktower", "3to4"), ("blocktower", "4to3"), ("balls", "4to4"), ("collision", "all"), ("collision", "sphere_to_cylinder")]  # fmt: skip
+README_COLUMNS = [
+    ("blocktower", "3to3"),
+    ("blocktower", "3to4"),
+    ("blocktower", "4to3"),
+    ("balls", "4to4"),
+    ("collision", "all"),
+    ("collision", "sphere_to_cylinder"),
+]
 README_METHODS = ("copy_b", "in", "cophynet", "alongside", "in_sup", "oracle_feedforward")
 ABLATIONS = ("confounder_probe", "architecture_ablation", "confounder_impact", "stability")
+CHANGED_RATE = r"(\+learning_rate-[\d.]+)?"  # as alongside has on towers of four at size=paper
 PARTS = ("alongside", "alongside_no_impulses", "alongside_no_pair_memory", "alongside_no_replay")
 
 
@@ -97,16 +105,32 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "paper": paper,
         "readme": partial(readme, results),
         **{
-            f"{scenario}_{size}": partial(every_split, results, scenario, size, seen_in_training if scenario == "blocktower" else columns(scenario))
+            f"{scenario}_{size}": partial(
+                every_split,
+                results,
+                scenario,
+                size,
+                seen_in_training if scenario == "blocktower" else columns(scenario),
+            )
             for scenario in SCENARIOS
             for size in ("paper", "small")
         },
-        **{f"{scenario}_estimated": partial(leaderboard, results, scenario, ("alongside_noisy",), ("in_sup",), **estimated) for scenario in SCENARIOS},
+        **{
+            f"{scenario}_estimated": partial(
+                leaderboard, results, scenario, ("alongside_noisy",), ("in_sup",), **estimated
+            )
+            for scenario in SCENARIOS
+        },
         "table_1_paper": partial(of_paper_table, results, "human_comparison", "paper"),
         "table_1_estimated": partial(of_paper_table, results, "human_comparison_derendered", "small"),
-        **{f"{name}_{size}": partial(of_paper_table, results, name, size) for name in ABLATIONS for size in ("paper", "small")},
+        **{
+            f"{name}_{size}": partial(of_paper_table, results, name, size)
+            for name in ABLATIONS
+            for size in ("paper", "small")
+        },
         "table_7_small": partial(of_paper_table, results, "training_positions", "small"),
         "learning_curves": partial(learning_curves, results),
+        "training_time": partial(training_time, results),
         "data_seeds": partial(data_seeds, results),
         "alongside_lead": partial(alongside_lead, results),
         "alongside_parts": partial(alongside_parts, results),
@@ -114,7 +138,7 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "claims": partial(claims, results),
         "checkpoints": partial(checkpoints, results),
         "columns": column_meanings,
-    }  # fmt: skip
+    }
 
 
 def leaderboard(
@@ -173,7 +197,13 @@ def readme(results: Results) -> str:
         *(f"{SCENARIOS[scenario]} {columns(scenario)[split]}" for scenario, split in README_COLUMNS),
     ]
     cells = [[results.cell("mse", *column, method) for column in README_COLUMNS] for method in README_METHODS]
-    return markdown(header, [[title(method), *(cell.number() if cell else NOTHING for cell in row)] for method, row in zip(README_METHODS, cells, strict=True)])  # fmt: skip
+    return markdown(
+        header,
+        [
+            [title(method), *(cell.number() if cell else NOTHING for cell in row)]
+            for method, row in zip(README_METHODS, cells, strict=True)
+        ],
+    )
 
 
 def every_split(results: Results, scenario: str, size: str, splits: Mapping[str, str]) -> str:
@@ -198,7 +228,12 @@ def measures(results: Results, method: str, scenario: str, split: str, size: str
     ]
     has_seeds = not method.startswith(("copy", "oracle"))
     seeds = f"{mse.seeds}" + (f", sd {mse.deviation:.3f}" if mse.seeds > 1 else "")
-    return [title(method), mse.full(), *(cell.full(0, 100) if cell else NOTHING for cell in others), seeds if has_seeds else NOTHING]  # fmt: skip
+    return [
+        title(method),
+        mse.full(),
+        *(cell.full(0, 100) if cell else NOTHING for cell in others),
+        seeds if has_seeds else NOTHING,
+    ]
 
 
 def of_paper_table(results: Results, table_id: str, size: str) -> str:
@@ -239,6 +274,17 @@ def learning_curves(results: Results) -> str:
     return markdown(["training experiments", *heads], named)
 
 
+def training_time(results: Results) -> str:
+    """Minutes of the shortest training."""
+    kinds = [(method, size) for size in ("small", "paper") for method in ("in", "cophynet", "alongside")]
+    rows = []
+    for scenario, split in (("blocktower", "3to3"), ("blocktower", "4to4"), ("balls", "4to4"), ("collision", "all")):
+        trainings = [results.of(scenario, split, method, CHANGED_RATE, size=size) for method, size in kinds]
+        seconds = [min(run["training_seconds"] for run in runs if run["training_seconds"] > 0) for runs in trainings]
+        rows.append([f"{SCENARIOS[scenario]} {columns(scenario)[split]}", *(f"{each / 60:.0f}" for each in seconds)])
+    return markdown(["minutes", *(f"{title(method)}, {size}" for method, size in kinds)], rows)
+
+
 def data_seeds(results: Results) -> str:
     """The same rows on two datasets of size=small."""
     rows = []
@@ -271,10 +317,16 @@ def alongside_parts(results: Results) -> str:
     rows = []
     for model in PARTS:
         names = {"model": model, "ablation": "full"}
-        cells = [results.cell(measure, *column, names, size="small") for column in CURVES.items() for measure in ("mse", "twin_difference_explained")]  # fmt: skip
+        cells = [
+            results.cell(measure, *column, names, size="small")
+            for column in CURVES.items()
+            for measure in ("mse", "twin_difference_explained")
+        ]
         pairs = zip(cells[::2], cells[1::2], strict=True)
         rows.append([f"`{model}`", *(f"{mse.short()}; {twins.number(0, 100)} %" for mse, twins in pairs)])
-    return markdown(["MSE, m²; twins", *(f"{SCENARIOS[name]} {columns(name)[split]}" for name, split in CURVES.items())], rows)  # fmt: skip
+    return markdown(
+        ["MSE, m²; twins", *(f"{SCENARIOS[name]} {columns(name)[split]}" for name, split in CURVES.items())], rows
+    )
 
 
 def alongside_positions(results: Results) -> str:
@@ -286,7 +338,9 @@ def alongside_positions(results: Results) -> str:
                 results.cell("mse", *column, method, size="small", positions=positions) for column in CURVES.items()
             ]
             rows.append([title(method), label, *(cell.short() for cell in cells)])
-    return markdown(["MSE, m²", "positions", *(f"{SCENARIOS[name]} {columns(name)[split]}" for name, split in CURVES.items())], rows)  # fmt: skip
+    return markdown(
+        ["MSE, m²", "positions", *(f"{SCENARIOS[name]} {columns(name)[split]}" for name, split in CURVES.items())], rows
+    )
 
 
 if __name__ == "__main__":
