@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from cophy.audit.checks import check_states, check_towers, check_twins, slots_in_order
-from cophy.audit.resimulation import _check_share, check_convergence, check_identifiability, check_resimulation
+from cophy.audit.resimulation import (
+    MIN_IDENTIFIED,
+    _check_share,
+    check_convergence,
+    check_identifiability,
+    check_resimulation,
+)
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States, build_scene, do_operation_of, to_arrays
 from cophy.scenario import Simulator
@@ -96,6 +102,13 @@ def test_a_limit_is_lowered_by_chance_alone() -> None:
     for count, passes, fails in ((40, 0.92, 0.91), (400, 0.96, 0.955), (4000, 0.974, 0.972)):
         assert _check_share("", passes, 0.98, count, enumerated=True).passed
         assert not _check_share("", fails, 0.98, count, enumerated=True).passed
+
+
+def test_sound_towers_pass_the_limit_in_samples_of_any_size() -> None:
+    """About 88 % of towers are identified, so the limit has to be lower without the allowance for small samples."""
+    for count in (40, 400, 4000, 40_000):
+        assert _check_share("", 0.88, MIN_IDENTIFIED, count, enumerated=True).passed
+    assert not _check_share("", 0.82, MIN_IDENTIFIED, 4000, enumerated=True).passed
 
 
 def test_an_ab_that_reveals_nothing_fails(few_configurations: DatasetSpec, first_pair: dict) -> None:

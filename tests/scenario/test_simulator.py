@@ -89,7 +89,7 @@ def test_a_lying_cylinder_ends_rolling_at_two_thirds_of_its_speed(simulator: Sim
 
 
 def test_a_standing_cylinder_slides_a_little_short(simulator: Simulator) -> None:
-    """6 % less than v²/(2μg), see docs/benchmark/physics.md."""
+    """It slides 6 % less than v²/(2μg)."""
     sliding = Body(Shape.CYLINDER, (1, 1, 1), (0, 0, 0.5), 0, 1.0, 0.5, linear_velocity=(4.0, 0.0, 0.0))
     distance = run(simulator, make_floor(), sliding).states[-1, 0, 0]
     assert distance == pytest.approx(4.0**2 / (2 * 0.5 * G), rel=0.08)

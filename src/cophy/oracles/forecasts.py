@@ -24,7 +24,7 @@ USUAL_STABLE_SPEED = 0.1  # m/s, of every scenario (conf/scenario); forecasts at
 STORED_PRECISION_M = 1e-4  # positions are stored with less error
 
 
-ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual")  # docs/benchmark/oracles.md
+ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual")  # docs/benchmark/metrics.md
 
 
 @dataclass(frozen=True)

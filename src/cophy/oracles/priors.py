@@ -4,6 +4,10 @@ The prior of towers is the conditional distribution of the search, with its cell
 probability. The search first draws a cell and both twins' configurations, and then geometries until one fits. A geometry can
 fit many pairs of configurations. The probability of each pair is that of drawing it, divided by the share of all
 geometries that fit the pair.
+
+Three differences from the search are ignored. Twins of towers come from one half of the combinations (seen or unseen), and never
+differ in the mass of the lowest block alone. For balls and collisions all configurations have the same probability, although the
+search prefers pairs that many initial velocities fit.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Oracles as models of train.py: how far a predictor can get, by forecasts of the simulator (docs/benchmark/oracles.md)."""
+"""Oracles as models of train.py: how far a predictor can get, by forecasts of the simulator (docs/benchmark/metrics.md)."""
 
 import lightning as L
 import numpy as np

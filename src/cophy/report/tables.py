@@ -23,7 +23,7 @@ TESTED_ON = {  # positions= -> sentence of the caption
 }
 
 ORACLES_NOTE = (
-    "Oracles simulate (docs/benchmark/oracles.md). They know what A and C show at t = 0 beyond positions: object type and pose. "
+    "Oracles simulate (docs/benchmark/metrics.md). They know what A and C show at t = 0 beyond positions: object type and pose. "
     "A network sees these only with model.object_type=true and model.pose=true. "
     "For Monte Carlo oracles, the sampling variance is subtracted from squared errors."
 )

@@ -13,7 +13,7 @@ _MAX_STEPS = 10_000  # per second, and iterations per step: far more than is use
 
 @dataclass
 class Solver:
-    """Settings of Bullet's constraint solver; docs/benchmark/physics.md shows how they were chosen.
+    """Settings of Bullet's constraint solver; conf/scenario gives each scenario's, with the reason.
 
     Attributes:
         step_rate_hz: Steps per second.
