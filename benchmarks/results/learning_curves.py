@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 from result_tables import ROWS, check_seeds
 
-PICTURES = ROOT / "docs" / "pictures"
+FIGURES = ROOT / "docs" / "figures"
 PANEL = ["scenario", "split"]
 CURVE = [*PANEL, "model", "ablation"]
 MEASURES = {  # with their titles, and what they are multiplied by
@@ -94,5 +94,5 @@ def draw(curves: pd.DataFrame) -> Figure:
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("table", nargs="?", type=Path, default=TABLE, help="that keep_results.py wrote")
-    parser.add_argument("folder", nargs="?", type=Path, default=PICTURES, help="where the pictures go")
+    parser.add_argument("folder", nargs="?", type=Path, default=FIGURES, help="where the pictures go")
     main(**vars(parser.parse_args()))
