@@ -10,7 +10,7 @@ from cophy.dataset.states import experiment_fields
 from tests.conftest import ROOT, SCENARIOS, tiny_spec
 
 PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)]
-MAX_LINE, MAX_WORDS = 120, 30
+MAX_LINE, MAX_WORDS, MAX_BYTES = 120, 30, 250_000
 FENCE = re.compile(r"^( *)(```|~~~|:::).*?^\1\2 *$", re.MULTILINE | re.DOTALL)
 NAMED_PAGE = re.compile(r"\bdocs/[\w/]+\.(?:md|py|csv|png)\b")
 
@@ -79,17 +79,27 @@ def test_the_data_reference_has_every_array() -> None:
             assert f"| `{field}` |" in page, field
 
 
+FIGURES = ROOT / "docs" / "figures"
+
+
+def test_figures_are_small() -> None:
+    assert [path.name for path in FIGURES.iterdir() if path.stat().st_size > MAX_BYTES] == []
+
+
 @pytest.mark.slow
 def test_the_figures_are_drawn_from_tiny_data(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = ROOT / "docs" / "figures"
     (tmp_path / "data").symlink_to(tiny_data)
     monkeypatch.chdir(tmp_path)
-    figures = runpy.run_path(str(folder / "draw.py"))["figures"]()
-    assert set(figures) == {path.stem for path in folder.glob("*.png")}
-    told = [text.get_text() for text in figures["task"].texts]
-    assert any(text.startswith("do-operation: move") for text in told)
-    bars = [text.get_text() for text in figures["oracles"].axes[0].texts]
-    assert any("100 % of the possible gain" in text for text in bars)
+    draw, diagrams, results = (runpy.run_path(str(FIGURES / f"draw{end}.py")) for end in ("", "_diagrams", "_results"))
+    data = results["load"]("tiny", tmp_path / "data")
+    drawn = [draw["figures"](), diagrams["figures"](), results["figures"](data)]
+    names = {name for figures in drawn for name in figures}
+    assert names <= {path.stem for path in FIGURES.glob("*.png")}
+    shares = [text.get_text() for text in drawn[0]["oracles"].axes[0].texts]
+    assert "100 %" in shares
+    errors = [axis.get_title() for axis in drawn[2]["predictions-balls"].axes]
+    assert sum(title.startswith("MSE ") for title in errors) == 6
+    assert results["clip"](data["collision"], 4).startswith(b"GIF89a")
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/paper.md"])

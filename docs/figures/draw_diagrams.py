@@ -5,6 +5,7 @@ CoPhyNet, alongside, and the way from the configuration to the tables. Lengths a
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -76,14 +77,14 @@ class Diagram:
 
     def arrow(self, *corners: tuple[float, float], color: str = INK) -> None:
         """Draw straight lines from corner to corner, the last one with a head."""
-        for start, end in zip(corners[:-2], corners[1:-1], strict=True):
+        for start, end in pairwise(corners[:-1]):
             self.axis.plot(*zip(start, end, strict=True), color=color, lw=1.1, solid_capstyle="round")
         style = {"arrowstyle": "-|>", "lw": 1.1, "color": color, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 9}
         self.axis.annotate("", corners[-1], corners[-2], arrowprops=style)
 
     def chain(self, boxes: Sequence[Box]) -> None:
         """Draw arrows from each box to the next on its right."""
-        for first, second in zip(boxes[:-1], boxes[1:], strict=True):
+        for first, second in pairwise(boxes):
             self.arrow(first.east(), second.west())
 
     def _patch(self, box: Box, color: str, edge: str, radius: float) -> None:
@@ -97,7 +98,9 @@ def architecture() -> Figure:
     diagram = Diagram(500)
     diagram.lane(Box(6, 6, 694, 142), "Estimate the confounders U from AB (paper, Sec. 4.1)", LANES["AB"], AB_INK)
     ab = diagram.box(Box(20, 42, 130, 122), "AB\npositions $o_t^k$ of\nall objects $k$\nin all frames $t$", AB)
-    encoder = diagram.box(Box(160, 42, 312, 122), "graph convolution\nin every frame\n$\\tilde{o}_t^k$   (Eq. 1)", LEARNED)
+    encoder = diagram.box(
+        Box(160, 42, 312, 122), "graph convolution\nin every frame\n$\\tilde{o}_t^k$   (Eq. 1)", LEARNED
+    )
     memory = diagram.box(Box(342, 42, 494, 122), "GRU $\\phi$ over time,\nper object\n$h_t^k$   (Eq. 2)", LEARNED)
     u = diagram.box(Box(524, 42, 680, 122), "U: a vector per object\n$u^k$ = last state of\nthe GRU", AB)
     diagram.chain([ab, encoder, memory, u])
@@ -162,7 +165,7 @@ def alongside() -> Figure:
     network = diagram.box(Box(432, 244, 536, 366), "messages\nof all pairs,\nthen a GRU\nover the steps", LEARNED)
     for begin in (nodes, relations):
         diagram.arrow(begin.east(), (412, begin.centre[1]), (412, 305), network.west())
-    results = "stability $s_t$\nmixtures $m_t, m\'_t$\ncorrections $c_t, c\'_t$\nshare kept $k_t$\nimpulses $J_t$"
+    results = "stability $s_t$\nmixtures $m_t, m'_t$\ncorrections $c_t, c'_t$\nshare kept $k_t$\nimpulses $J_t$"
     outputs = diagram.box(Box(564, 244, 680, 366), results, PLAIN)
     diagram.chain([network, outputs])
     for start_line in ([history.east(), (687, 69), (687, 204)], [pair.south(), (pair.centre[0], 204)]):
@@ -170,7 +173,7 @@ def alongside() -> Figure:
     diagram.text((network.centre[0] + 8, 228), "$h_{t+1}$, $r$", ha="left", color=AB_INK)
     equations = (
         "$\\Delta_t = m_t$ · (motion in AB now) $+\\ (1 - m_t)\\ (v_t + \\Sigma\\, (1 - \\tau_t) J_t + c_t)$\n"
-        "$v_{t+1} = m\'_t$ · (motion in AB next) $+\\ (1 - m\'_t)\\ (k_t v_t + \\Sigma\\, J_t + c\'_t)$\n"
+        "$v_{t+1} = m'_t$ · (motion in AB next) $+\\ (1 - m'_t)\\ (k_t v_t + \\Sigma\\, J_t + c'_t)$\n"
         "$o_{t+1} = o_t + \\sigma((1 - s_t)\\,/\\,\\lambda)\\ \\Delta_t$"
     )
     move = diagram.box(Box(186, 412, 680, 490), equations, CD, size=13)
