@@ -12,7 +12,7 @@ from tests.conftest import ROOT, SCENARIOS, tiny_spec
 
 DOCS = sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)
 PAGES = [ROOT / "README.md", ROOT / "checkpoints" / "README.md", *DOCS]
-MAX_WORDS, MAX_README_WORDS = 15_000, 600
+MAX_WORDS, MAX_README_WORDS, MAX_BYTES = 15_000, 600, 250_000
 FENCE = re.compile(r"^( *)(```|~~~|:::).*?^\1\2 *$", re.MULTILINE | re.DOTALL)
 NAMED_PAGE = re.compile(r"\bdocs/[\w/]+\.(?:md|py|csv|png)\b")
 COMMIT_HASH = re.compile(r"\b(?=[0-9a-f]*[0-9])(?=[0-9a-f]*[a-f])[0-9a-f]{7,40}\b")
@@ -81,18 +81,30 @@ def test_the_data_reference_has_every_array() -> None:
             assert f"| `{field}` |" in page, field
 
 
+FIGURES = ROOT / "docs" / "figures"
+
+
+def test_figures_are_small() -> None:
+    assert [path.name for path in FIGURES.iterdir() if path.stat().st_size > MAX_BYTES] == []
+
+
 @pytest.mark.slow
-def test_the_figures_are_drawn_without_any_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = ROOT / "docs" / "figures"
+def test_the_figures_are_drawn(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "data").symlink_to(tiny_data)
     monkeypatch.chdir(tmp_path)
-    script = runpy.run_path(str(folder / "draw.py"))
-    figures = script["figures"]()
-    assert set(figures) <= {path.stem for path in folder.glob("*.png")}
-    assert any(text.get_text().startswith("Do-operation: move") for text in figures["task"].texts)
-    written = {text.get_text() for text in figures["cells"].texts}
+    draw, diagrams, results = (runpy.run_path(str(FIGURES / f"draw{end}.py")) for end in ("", "_diagrams", "_results"))
+    data = results["load"]("tiny", tmp_path / "data")
+    drawn = [draw["figures"](), diagrams["figures"](), results["figures"](data)]
+    names = {name for figures in drawn for name in figures}
+    assert names <= {path.stem for path in FIGURES.glob("*.png")}
+    assert any(text.get_text().startswith("Do-operation: move") for text in drawn[0]["task"].texts)
+    written = {text.get_text() for text in drawn[0]["cells"].texts}
     assert {cell.name for cell in TOWER_CELLS} <= written  # each of the six cells has its pictures
-    bars = [text.get_text() for text in figures["oracles"].axes[0].texts]
-    assert any("100 % of the possible gain" in text for text in bars)
+    shares = [text.get_text() for text in drawn[0]["oracles"].axes[0].texts]
+    assert "100 %" in shares
+    errors = [axis.get_title() for axis in drawn[2]["predictions-balls"].axes]
+    assert sum(title.startswith("MSE ") for title in errors) == 6
+    assert results["clip"](data["collision"], 4).startswith(b"GIF89a")
 
 
 def test_the_map_from_the_paper_to_the_code_names_files_that_exist() -> None:

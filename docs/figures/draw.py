@@ -8,7 +8,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
@@ -17,7 +16,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse, FancyBboxPatch, Rectangle
+from matplotlib.patches import Ellipse, Patch, Rectangle
 
 from cophy.config import generated_by, settings
 from cophy.dataset.states import to_arrays
@@ -35,6 +34,15 @@ CELL_PAIRS = (3, 59, 37)  # twin pairs with data seed 0, one of each kind; `cell
 NEAR = Camera(eye=[-0.2, -11.5, 3.4], target=[-0.2, 0.0, 1.25], field_of_view_deg=30)
 PIXELS = 420
 LAST = 29  # frame
+SEEN, UNSEEN = "#5b93d1", "#f2c9a8"
+ROWS = {  # of the figure of oracles: name -> model
+    "copy B": "copy_b",
+    "IN": "in",
+    "oracle without AB": "oracle_feedforward",
+    "CoPhyNet": "cophynet",
+    "alongside": "alongside",
+    "oracle with AB": "oracle_counterfactual",
+}
 OBSERVED, COUNTERFACTUAL, DO = "#1f5fa8", "#a8561f", "#1d7a3d"
 FONT = 13  # points; legible when a figure is 390 pixels wide
 
@@ -209,84 +217,74 @@ def cells(towers: Towers) -> Figure:
 
 
 def seen_and_unseen(towers: Towers) -> Figure:
-    """Which combinations of masses and gravity the splits with † train on."""
+    """Draw which combinations of masses and gravity the splits with † train on."""
     grid, heights = towers.scenario.confounders, 3
     decoded = [grid.decode(index, heights) for index in range(len(towers.seen))]
-    masses = sorted({tuple(float(m) for m in each.mass) for each in decoded})
+    masses = sorted(
+        {tuple(float(m) for m in each.mass) for each in decoded},
+        key=lambda m: ([mass / min(m) for mass in m], m),  # multiples of the same masses next to each other
+    )
     gravities = sorted({tuple(float(g) for g in each.gravity_xy) for each in decoded})
     table = np.zeros((len(masses), len(gravities)), bool)
     for each, seen in zip(decoded, towers.seen, strict=True):
         row = masses.index(tuple(float(m) for m in each.mass))
         table[row, gravities.index(tuple(float(g) for g in each.gravity_xy))] = seen
-    figure = Figure(figsize=(8, 4.6), layout="constrained")
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
     axis = figure.subplots()
-    axis.imshow(table, cmap=mpl.colors.ListedColormap(["#f2c9a8", "#a9c8ea"]), vmin=0, vmax=1, aspect="auto")
-    for (row, column), seen in np.ndenumerate(table):
-        axis.text(column, row, "seen" if seen else "unseen", ha="center", va="center", fontsize=9)
-    axis.set_xticks(range(len(gravities)), [f"{x:g}, {y:g}" for x, y in gravities])
-    axis.set_yticks(range(len(masses)), [", ".join(f"{m:g}" for m in each) for each in masses])
-    axis.set(xlabel="gravity along x and y (m/s²)", ylabel="masses from the bottom up (kg)")
-    return figure
-
-
-def box(axis: Axes, x: float, text: str, color: str, width: float = 1.5) -> None:
-    """A rounded box with text around x."""
-    patch = FancyBboxPatch(
-        (x - width / 2, 0.2), width, 0.6, boxstyle="round,pad=0.02,rounding_size=0.08", fc=color, ec="0.3"
-    )
-    axis.add_patch(patch)
-    axis.text(x, 0.5, text, ha="center", va="center", fontsize=11)
-
-
-def probe() -> Figure:
-    """From AB to U, and from U to what the probe is asked."""
-    figure = Figure(figsize=(10, 2.3))
-    axis = figure.add_axes((0, 0, 1, 1))
-    axis.set(xlim=(0, 10), ylim=(-0.35, 1.15))
-    axis.set_axis_off()
-    boxes = (
-        (1.0, "AB\n(positions)", "#dbe8f6", 1.5),
-        (3.3, "CoPhyNet's\nestimator, frozen", "#eeeeee", 1.9),
-        (5.4, "U, a vector\nper object", "#e7dcf3", 1.4),
-        (7.2, "linear\nclassifier", "#eeeeee", 1.2),
-        (9.05, "mass and friction\nof the object?", "#dcefdc", 1.6),
-    )
-    for x, text, color, width in boxes:
-        box(axis, x, text, color, width)
-    ends = [(x - width / 2, x + width / 2) for x, _, _, width in boxes]
-    for (_, right), (left, _) in pairwise(ends):
-        axis.annotate("", (left - 0.03, 0.5), (right + 0.03, 0.5), arrowprops={"arrowstyle": "-|>", "lw": 1.5})
-    axis.text(7.2, -0.12, "the only part that is trained here", ha="center", fontsize=10)
-    axis.text(3.3, -0.12, "trained before, to predict D", ha="center", fontsize=10)
+    axis.pcolormesh(table, cmap=mpl.colors.ListedColormap([UNSEEN, SEEN]), vmin=0, vmax=1, edgecolors="white", lw=2)
+    axis.invert_yaxis()
+    axis.set_xticks(np.arange(len(gravities)) + 0.5, [f"{x:g}, {y:g}" for x, y in gravities], fontsize=12)
+    axis.set_yticks(np.arange(len(masses)) + 0.5, [", ".join(f"{m:g}" for m in each) for each in masses], fontsize=12)
+    axis.set_xlabel("gravity along x and y (m/s²)", fontsize=12)
+    axis.set_ylabel("masses from the bottom up (kg)", fontsize=12)
+    axis.tick_params(length=0)
+    axis.spines[:].set_visible(False)
+    handles = [Patch(color=SEEN, label="seen in training"), Patch(color=UNSEEN, label="unseen: tested (†)")]
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False, fontsize=12)
     return figure
 
 
 def oracles() -> Figure:
-    """MSE of collisions between the two oracles, from the runs beside docs/results/tables.md."""
-    mse: dict[str, list[float]] = defaultdict(list)
+    """Draw the MSE of collisions between those of the two oracles, from docs/results/results.csv."""
+    wanted = {"scenario": "collision", "split": "all", "ablation": "full", "positions": "ground_truth", "size": "paper"}
+    wanted |= {"variant": "+size-paper"}
+    found: dict[str, list[dict[str, str]]] = defaultdict(list)
     with RUNS.open() as file:
         for run in csv.DictReader(file):
-            own = [run[name] for name in ("scenario", "split", "ablation", "positions", "size", "variant")]
-            if own == ["collision", "all", "full", "ground_truth", "small", ""]:
-                mse[run["model"]].append(float(run["mse"]))
-    names = {"oracle_feedforward": "oracle without AB", "oracle_counterfactual": "oracle with AB", "copy_b": "copy B"}
-    names |= {"in": "IN (without AB)", "cophynet": "CoPhyNet"}
-    worst, best = (fmean(mse[name]) for name in ("oracle_feedforward", "oracle_counterfactual"))
-    figure = Figure(figsize=(9, 3.2), layout="constrained")
-    axis = figure.subplots()
-    values = {text: fmean(mse[name]) for name, text in names.items()}
-    values = dict(sorted(values.items(), key=lambda item: -item[1]))
-    bars = axis.barh(
-        list(values), list(values.values()), color=["#c9b6e4" if "oracle" in n else "#a9c8ea" for n in values]
-    )
-    for bar, value in zip(bars, values.values(), strict=True):
-        label = f"{value:.3f} m²: {100 * (worst - value) / (worst - best):.0f} % of the possible gain"
+            if all(run[key] == value for key, value in wanted.items()):
+                found[run["model"]].append(run)
+    runs = {name: found[model] for name, model in ROWS.items()}
+    mse = {name: fmean(float(run["mse"]) for run in each) for name, each in runs.items()}
+    names = sorted(runs, key=lambda name: -mse[name])
+    figure = Figure(figsize=(7.6, 3.4))
+    axis = figure.add_axes((0.225, 0.17, 0.52, 0.6))
+    colors = ["#c9b6e4" if "oracle" in name else "#a9c8ea" for name in names]
+    axis.barh(names, [mse[name] for name in names], color=colors)
+    for row, name in enumerate(names):
+        share = fmean(float(run["share"]) for run in runs[name])
+        axis.text(mse[name] + 0.008, row, f"{mse[name]:.3f}", va="center", fontsize=12)
         axis.text(
-            value + 0.01, bar.get_y() + bar.get_height() / 2, label, va="center", fontsize=10, backgroundcolor="white"
+            1.26,
+            row,
+            f"{100 * share:.0f} %",
+            va="center",
+            ha="right",
+            fontsize=12,
+            transform=axis.get_yaxis_transform(),
         )
-    axis.axvline(worst, color="0.4", ls=":", zorder=0)
-    axis.axvline(best, color="0.4", ls=":", zorder=0)
-    axis.set(xlabel="MSE of D in collisions (m²), mean over seeds; lower is better", xlim=(0, 1.05))
+    axis.text(1.29, 1.04, "share of the\npossible gain", ha="right", fontsize=12, transform=axis.transAxes)
+    for name, text in (("oracle with AB", "best with AB"), ("oracle without AB", "best without AB")):
+        axis.axvline(mse[name], color="0.35", ls=":", zorder=0)
+        axis.annotate(
+            text, (mse[name], 1.04), xycoords=axis.get_xaxis_transform(), ha="center", fontsize=12, color="0.35"
+        )
+    counts = [{int(float(run["num_test"])) for run in runs[name]} for name in ("CoPhyNet", "oracle with AB")]
+    (tests,), (of_oracles,) = counts
+    title = f"Collisions, size=paper: {tests:,} test experiments, {of_oracles:,} of them for oracles"
+    figure.text(0.5, 0.955, title, ha="center", va="center", fontsize=12)
+    axis.set_xlabel("MSE of D (m²), mean over seeds; lower is better", fontsize=12)
+    axis.set(xlim=(0, 0.72))
+    axis.tick_params(labelsize=12)
     axis.spines[["top", "right"]].set_visible(False)
     return figure
 
@@ -300,7 +298,6 @@ def figures() -> dict[str, Figure]:
         "twins": twins(towers),
         "cells": cells(towers),
         "seen_and_unseen": seen_and_unseen(towers),
-        "probe": probe(),
         "oracles": oracles(),
     }
 
