@@ -256,7 +256,9 @@ def clip(dataset: ExperimentDataset, experiment: int) -> bytes:
     sequences = {"AB: observed": np.stack(ab), f"CD: {name} {change}": np.stack(cd)}
     frames = side_by_side(sequences, frame_rate_hz=rate)
     count, height, width, _ = frames.shape
-    strip = Image.fromarray(frames.reshape(count * height, width, 3)).quantize(COLORS, PALETTE, dither=Image.Dither.NONE)
+    strip = Image.fromarray(frames.reshape(count * height, width, 3)).quantize(
+        COLORS, PALETTE, dither=Image.Dither.NONE
+    )
     first, *others = (strip.crop((0, n * height, width, (n + 1) * height)) for n in range(count))
     file = io.BytesIO()
     first.save(file, "GIF", save_all=True, append_images=others, duration=round(1000 / rate), loop=0)
