@@ -2,7 +2,7 @@
 
 import os
 import sys
-from importlib.metadata import version
+from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -18,7 +18,7 @@ nitpicky = True
 nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries, whose lists of names are on the network
 
 html_theme = "furo"
-html_title = f"cophy {version('cophy')}"
+html_title = f"cophy {metadata.version('cophy')}"
 html_static_path = ["_static"]
 html_css_files = ["tables.css"]
 html_show_copyright = False
