@@ -66,7 +66,7 @@ def test_a_row_on_released_data_fills_no_other_table(tree: CoPhyTree, tmp_path: 
     train(tree, tmp_path, "scenario=blocktower")
     printed = run("report", f"source={other}", f"outputs={tmp_path / 'outputs'}", "data_dir=nowhere", code=1)
     assert f"metrics.json is skipped: its data are of source=cophy, and these tables of source={other}" in printed
-    assert "none of the runs there can be reported" in printed
+    assert "no run can be reported, for the reasons above" in printed
 
 
 def test_a_row_on_generated_data_fills_no_table_of_released_ones(tiny_data: Path, tmp_path: Path) -> None:
