@@ -100,7 +100,10 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
     estimated = {"size": "small", "positions": ESTIMATED_IN_TESTING}
     seen_in_training = {**columns("blocktower"), "3to3_seen": "3→3, seen"}
     return {
-        **{f"leaderboard_{scenario}": partial(leaderboard, results, scenario) for scenario in SCENARIOS},
+        **{
+            f"leaderboard_{scenario}": partial(leaderboard, results, scenario, ("alongside_noisy",))
+            for scenario in SCENARIOS
+        },
         "ratio_to_copy_c": partial(ratio_to_copy_c, results),
         "paper": paper,
         "readme": partial(readme, results),
@@ -160,7 +163,8 @@ def leaderboard(
         number, _, interval = text.partition(" ")
         return f"**{number}** {interval}" if is_best else text
 
-    rows = [[title(method), *(printed(method, split) for split in splits)] for method in (*COPIES, *learned)]
+    shown = [method for method in (*COPIES, *learned) if any(cells[method, split] for split in splits)]
+    rows = [[title(method), *(printed(method, split) for split in splits)] for method in shown]
     line = [["*given the confounders or the simulator*", *[""] * len(splits)]]
     rows += line + [[title(method), *(printed(method, split) for split in splits)] for method in given_more]
     return markdown(["test MSE, m²", *splits.values()], rows)
@@ -260,7 +264,10 @@ def of_paper_cell(results: Results, table: PaperTable, names: dict[str, str], nu
     cell = results.cell(names["metric"], names["scenario"], names["split"], keys, size=size)
     if cell is None:
         return NOTHING
-    return cell.short(digits, table.scale) + ("" if number is None else f" *({number:.{digits}f})*")
+    if number is None:
+        return cell.short(digits, table.scale)
+    printed = f"{number:g}" if names["metric"].startswith("pixel") else f"{number:.{digits}f}"
+    return cell.short(digits, table.scale) + f" *({printed})*"
 
 
 def learning_curves(results: Results) -> str:
