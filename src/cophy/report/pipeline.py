@@ -15,7 +15,7 @@ from cophy.dataset.splits import Split
 from cophy.dataset.states import States
 from cophy.drawing.plots import write_figure
 from cophy.errors import CophyError
-from cophy.report import difficulty, figures, render
+from cophy.report import figures, render
 from cophy.report.overview import TWINS_CAPTION, overview_tables, summarize_runs, twin_tables
 from cophy.report.paper_tables import paper_tables
 from cophy.report.predictions import StoredPredictions, read_stored_predictions
@@ -151,6 +151,8 @@ class Report:
         """Write all tables as Markdown, LaTeX and CSV."""
         texts = self._tables()
         if len(self.difficulty):
+            from cophy.report import difficulty
+
             texts["difficulty.csv"] = self.difficulty.to_csv(index=False)
             texts["difficulty.md"] = difficulty.page(self.difficulty, self.scenarios)
         for name, text in texts.items():
@@ -182,6 +184,8 @@ class Report:
             yield from figures.draw_predictions(runs, self.stored, self.scenarios, all_trajectories=self.show_all)
         yield from self._stability_distributions()
         if len(self.difficulty):
+            from cophy.report import difficulty
+
             yield from difficulty.draw(self.difficulty, self.scenarios)
         yield from self.supplement.figures.items()
 
@@ -195,6 +199,8 @@ class Report:
                 part = self.configurations.default_split(str(name)).test
                 states = self.configurations.dataset(str(name), part.num_objects, str(size))
                 if states.is_finished():
+                    from cophy.report import difficulty  # imports torch, which takes seconds; most reports need none
+
                     frames.append(difficulty.mse_by_difficulty(group, states.load(), states.spec, part))
         return pd.concat(frames) if frames else pd.DataFrame()
 
