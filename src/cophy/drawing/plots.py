@@ -162,9 +162,8 @@ def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: flo
         axis.plot((1 + np.arange(len(curve))) / frame_rate_hz, curve, dashes, label=name, lw=1.5)
     axis.set(xlabel="time (s)", ylabel="position error (m)", title=title, xlim=(0, None), ylim=(0, None))
     axis.grid(alpha=0.2)
-    if len(curves) > 1:
-        lines = sorted(axis.get_lines(), key=lambda line: -float(np.asarray(line.get_ydata())[-1]))
-        figure.legend(handles=lines, loc="outside right center", frameon=False, fontsize="small")
+    lines = sorted(axis.get_lines(), key=lambda line: -float(np.asarray(line.get_ydata())[-1]))
+    figure.legend(handles=lines, loc="outside right center", frameon=False, fontsize="small")
     return figure
 
 

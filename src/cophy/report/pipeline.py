@@ -115,7 +115,7 @@ class Report:
             self._show_table(filled)
         empty = sum(not filled.has_runs for filled in self.filled)
         if empty and not self.show_all:
-            log.info(notice(f"{empty} tables have nothing of ours yet: all=true prints them."))
+            log.info(notice(f"{empty} tables have no runs yet: all=true prints them."))
         for title, table in self.twins.items():
             render.show(title, table)
         if self.twins:
@@ -244,5 +244,5 @@ def write_report(
         report.write_tables(directory)
         list(written)
     unused = f" ({report.unused} more are left out, see above)" if report.unused else ""
-    message = "%d runs%s; tables (md, tex, csv), their captions and %d figures (png, pdf) are in\n%s"
-    log.info(message, len(report.runs), unused, len(drawn), directory)
+    message = "%s%s; tables (md, tex, csv), their captions and %d figures (png, pdf) are in\n%s"
+    log.info(message, "1 run" if len(report.runs) == 1 else f"{len(report.runs)} runs", unused, len(drawn), directory)
