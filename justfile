@@ -40,8 +40,9 @@ test-cluster *args: setup
 check: setup
     {{bin}}/ruff format --check && {{bin}}/ruff check && {{bin}}/mypy
 
-# build the documentation in docs/_build/html; a broken link or a failing cell of the tutorial is an error
+# write the tables of the docs from results.csv and build docs/_build/html; a broken link or a failing cell of the tutorial is an error
 docs: setup
+    {{bin}}/python docs/generate.py
     {{bin}}/python -m sphinx --quiet --fail-on-warning --keep-going --jobs auto -d docs/_build/doctrees docs docs/_build/html
     @echo "docs/_build/html/index.html"
 
