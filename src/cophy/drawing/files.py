@@ -1,4 +1,4 @@
-"""Frames from files, images to files, and animated GIFs, also for TensorBoard (its own add_video needs an old moviepy)."""
+"""Frames from files, images to files, and animated GIFs."""
 
 import io
 import re
@@ -9,8 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from PIL import Image
-from tensorboard.compat.proto.summary_pb2 import Summary
-from torch.utils.tensorboard import SummaryWriter
 
 from cophy.atomic_files import write_atomically
 from cophy.errors import CophyError
@@ -108,13 +106,6 @@ def encode_gif(frames: np.ndarray, *, frames_per_second: float) -> bytes:
         file, "GIF", save_all=True, append_images=images[1:], duration=round(1000 / frames_per_second), loop=0
     )
     return file.getvalue()
-
-
-def add_clip(writer: SummaryWriter, name: str, frames: np.ndarray, *, frames_per_second: float, step: int) -> None:
-    """Add a clip (T, H, W, 3) uint8 to TensorBoard's images under a name, at a step of the training."""
-    content = encode_gif(frames, frames_per_second=frames_per_second)
-    image = Summary.Image(height=frames.shape[1], width=frames.shape[2], colorspace=3, encoded_image_string=content)
-    writer._get_file_writer().add_summary(Summary(value=[Summary.Value(tag=name, image=image)]), step)  # type: ignore[no-untyped-call]
 
 
 def mark(frames: np.ndarray, positions: np.ndarray, presence: np.ndarray, *, camera: Camera, marker: int) -> np.ndarray:

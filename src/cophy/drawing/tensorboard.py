@@ -10,13 +10,14 @@ import numpy as np
 import torch
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.trainer.states import TrainerFn
+from tensorboard.compat.proto.summary_pb2 import Summary
 from torch import Tensor
 from torch.utils.data import default_collate
 from torch.utils.tensorboard import SummaryWriter
 
 from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.dataset.frames import FrameDataModule
-from cophy.drawing.files import add_clip, mark
+from cophy.drawing.files import encode_gif, mark
 from cophy.drawing.plots import draw_centres, draw_confusion, draw_error_over_time, draw_trajectories, error_over_time
 from cophy.drawing.sheets import REACH, Line, at, grid, text_block
 from cophy.scenario import Scenario
@@ -264,3 +265,10 @@ def _derender(module: L.LightningModule, image: Tensor) -> tuple[np.ndarray, np.
     with torch.no_grad():
         output = module(image.to(module.device))
     return image.permute(0, 2, 3, 1).numpy(), output.position.cpu().numpy(), (output.presence_logit > 0).cpu().numpy()
+
+
+def add_clip(writer: SummaryWriter, name: str, frames: np.ndarray, *, frames_per_second: float, step: int) -> None:
+    """Add a clip (T, H, W, 3) uint8 to TensorBoard's images (`add_video` needs an old moviepy) at a step of the training."""
+    content = encode_gif(frames, frames_per_second=frames_per_second)
+    image = Summary.Image(height=frames.shape[1], width=frames.shape[2], colorspace=3, encoded_image_string=content)
+    writer._get_file_writer().add_summary(Summary(value=[Summary.Value(tag=name, image=image)]), step)  # type: ignore[no-untyped-call]
