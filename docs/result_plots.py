@@ -24,6 +24,7 @@ STYLES = {  # marker, colour, and shift within a group of the leaderboard
     "alongside": ("D", "#c8442c", 0),
     "in_sup": ("s", "#3f9f5f", 0.16),
 }
+BETWEEN_ORACLES = ("copy_b", "in", "cophynet", "alongside", "oracle_feedforward", "oracle_counterfactual")
 SPACING = {"blocktower": 1.0, "balls": 1.0, "collision": 1.8}  # of the columns: collisions have long names
 MEASURES = {
     "mse": ("test MSE, m²", 1),
@@ -131,7 +132,46 @@ def draw_learning_curves(data: Data) -> Figure:
     return figure
 
 
+def between_oracles(results: Results) -> Data:
+    """Return MSE and share of the possible gain of methods on collisions, the highest MSE first."""
+    lines = []
+    for method in BETWEEN_ORACLES:
+        cells = {measure: results.cell(measure, "collision", "all", method) for measure in ("mse", "share")}
+        (run, *_) = results.of("collision", "all", method)
+        values = {measure: round(cell.value, 6) for measure, cell in cells.items() if cell}
+        lines.append({"title": title(method), "tests": int(run["num_test"])} | values)
+    return sorted(lines, key=lambda line: -line["mse"])
+
+
+def draw_oracles(data: Data) -> Figure:
+    """Draw the MSE of collisions as bars between those of the two oracles."""
+    figure = plt.figure(figsize=(7.6, 3.4))
+    axis = figure.add_axes((0.225, 0.17, 0.52, 0.6))
+    colors = ["#c9b6e4" if "oracle" in line["title"] else "#a9c8ea" for line in data]
+    axis.barh([line["title"] for line in data], [line["mse"] for line in data], color=colors)
+    right = {"ha": "right", "fontsize": 12}
+    for row, line in enumerate(data):
+        share = f"{100 * line['share']:.0f} %"
+        axis.text(line["mse"] + 0.008, row, f"{line['mse']:.3f}", va="center", fontsize=12)
+        axis.text(1.26, row, share, va="center", transform=axis.get_yaxis_transform(), **right)
+    axis.text(1.29, 1.04, "share of the\npossible gain", transform=axis.transAxes, **right)
+    mse = {line["title"]: line["mse"] for line in data}
+    for name, text in (("oracle with AB", "best with AB"), ("oracle without AB", "best without AB")):
+        axis.axvline(mse[name], color="0.35", ls=":", zorder=0)
+        at = (mse[name], 1.04)
+        axis.annotate(text, at, xycoords=axis.get_xaxis_transform(), ha="center", fontsize=12, color="0.35")
+    tests = [line["tests"] for line in data]
+    heading = f"Collisions, size=paper: {max(tests):,} test experiments, {min(tests):,} of them for oracles"
+    figure.text(0.5, 0.955, heading, ha="center", va="center", fontsize=12)
+    axis.set_xlabel("MSE of D (m²), mean over seeds; lower is better", fontsize=12)
+    axis.set(xlim=(0, 0.72))
+    axis.tick_params(labelsize=12)
+    axis.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
 PLOTS: dict[str, tuple[Callable[[Results], Data], Callable[[Data], Figure]]] = {
     "leaderboard": (relative_to_oracle, draw_leaderboard),
+    "oracles": (between_oracles, draw_oracles),
     "learning_curves": (Results.learning_curves, draw_learning_curves),
 }

@@ -16,9 +16,18 @@ MAX_WORDS, MAX_README_WORDS, MAX_BYTES = 15_000, 600, 250_000
 FENCE = re.compile(r"^( *)(```|~~~|:::).*?^\1\2 *$", re.MULTILINE | re.DOTALL)
 NAMED_PAGE = re.compile(r"\bdocs/[\w/]+\.(?:md|py|csv|png)\b")
 COMMIT_HASH = re.compile(r"\b(?=[0-9a-f]*[0-9])(?=[0-9a-f]*[a-f])[0-9a-f]{7,40}\b")
-PLAIN_ENGLISH = {  # see Contributing: what to write instead
-    *("anew", "goes on", "is told", "are told", "foretold", "mended", "is off by", "but for", "by lot", "lies in"),
-}
+NOT_ENGLISH = [
+    "anew",
+    "goes on",
+    "is told",
+    "are told",
+    "foretold",
+    "mended",
+    "is off by",
+    "but for",
+    "by lot",
+    "lies in",
+]
 
 
 def pages(function: object) -> object:
@@ -50,7 +59,7 @@ def test_no_page_names_a_commit(page: Path) -> None:
 @pages
 def test_pages_are_in_plain_english(page: Path) -> None:
     text = " ".join(FENCE.sub("", page.read_text()).lower().split())
-    assert [phrase for phrase in sorted(PLAIN_ENGLISH) if re.search(rf"\b{phrase}\b", text)] == []
+    assert [phrase for phrase in NOT_ENGLISH if re.search(rf"\b{phrase}\b", text)] == []
 
 
 @pages
@@ -100,8 +109,6 @@ def test_the_figures_are_drawn(tiny_data: Path, tmp_path: Path, monkeypatch: pyt
     assert any(text.get_text().startswith("Do-operation: move") for text in drawn[0]["task"].texts)
     written = {text.get_text() for text in drawn[0]["cells"].texts}
     assert {cell.name for cell in TOWER_CELLS} <= written  # each of the six cells has its pictures
-    shares = [text.get_text() for text in drawn[0]["oracles"].axes[0].texts]
-    assert "100 %" in shares
     errors = [axis.get_title() for axis in drawn[2]["predictions-balls"].axes]
     assert sum(title.startswith("MSE ") for title in errors) == 6
     assert results["clip"](data["collision"], 4).startswith(b"GIF89a")

@@ -14,20 +14,15 @@ from hydra.core.override_parser.types import Glob, Override
 
 from cophy.report.paper_tables import methods, paper_tables
 from tests.conftest import ROOT, cached_settings
+from tests.test_docs import PAGES, pages
 
 README = ROOT / "README.md"
-PAGES = [README, *sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)]
 GROUPS = {path.parent.relative_to(ROOT / "conf").as_posix() for path in (ROOT / "conf").rglob("*/*.yaml")}
 SHELL_VARIABLE = re.compile(r"^ +([A-Z])=(\S+)", re.MULTILINE)
 COMMAND = re.compile(r"(?:python src/|(?<![/\w])cophy-(?=\w+ ))(\w+)(?:\.py)?\b([^`\n]*)")
 # not to be composed as it stands; Optuna is not installed by default, SLURM sets its variables
 UNFINISHED = ("…", "<", "--help", "--config-dir", "hydra/sweeper=", "$SLURM")
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
-MAX_README_LINES = 90
-
-
-def pages(function: object) -> object:
-    return pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())(function)  # type: ignore[arg-type]
 
 
 def commands(page: Path) -> list[tuple[str, ...]]:
@@ -58,16 +53,12 @@ def run(directory: Path, *words: str) -> str:
     return done.stdout
 
 
-def test_the_readme_is_short() -> None:
-    assert len(README.read_text().splitlines()) <= MAX_README_LINES
-
-
 def test_the_training_guide_names_every_choice() -> None:
     page = (ROOT / "docs" / "guides" / "training.md").read_text()
-    choices = {table.id for table in paper_tables()}
+    options = {table.id for table in paper_tables()}
     for group in ("scenario", "split", "size", "model", "ablation", "render", "source", "confounders"):
-        choices |= {path.stem for path in (ROOT / "conf" / group).glob("*.yaml")}
-    assert [choice for choice in sorted(choices) if f"`{choice}`" not in page] == []
+        options |= {path.stem for path in (ROOT / "conf" / group).glob("*.yaml")}
+    assert [choice for choice in sorted(options) if f"`{choice}`" not in page] == []
 
 
 @pages

@@ -3,13 +3,10 @@
 The towers are generated here, one twin pair at a time; no dataset is needed.
 """
 
-import csv
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from statistics import fmean
 from typing import NamedTuple
 
 import matplotlib as mpl
@@ -27,7 +24,6 @@ from cophy.scenario.towers import TOWER_BLOCKS, TOWER_CELLS
 from cophy.schemas import register
 
 HERE = Path(__file__).parent
-RUNS = HERE.parent / "results" / "results.csv"
 NUM_BLOCKS = 3
 TASK_PAIR, TASK_TWIN = 3, 1  # A falls for both twins; C stands for the second
 CELL_PAIRS = (3, 59, 37)  # twin pairs with data seed 0, one of each kind; `cells` checks that they show all cells
@@ -35,14 +31,6 @@ NEAR = Camera(eye=[-0.2, -11.5, 3.4], target=[-0.2, 0.0, 1.25], field_of_view_de
 PIXELS = 420
 LAST = 29  # frame
 SEEN, UNSEEN = "#5b93d1", "#f2c9a8"
-ROWS = {  # of the figure of oracles: name -> model
-    "copy B": "copy_b",
-    "IN": "in",
-    "oracle without AB": "oracle_feedforward",
-    "CoPhyNet": "cophynet",
-    "alongside": "alongside",
-    "oracle with AB": "oracle_counterfactual",
-}
 OBSERVED, COUNTERFACTUAL, DO = "#1f5fa8", "#a8561f", "#1d7a3d"
 FONT = 13  # points; legible when a figure is 390 pixels wide
 
@@ -218,8 +206,8 @@ def cells(towers: Towers) -> Figure:
 
 def seen_and_unseen(towers: Towers) -> Figure:
     """Draw which combinations of masses and gravity the splits with † train on."""
-    grid, heights = towers.scenario.confounders, 3
-    decoded = [grid.decode(index, heights) for index in range(len(towers.seen))]
+    grid = towers.scenario.confounders
+    decoded = [grid.decode(index, NUM_BLOCKS) for index in range(len(towers.seen))]
     masses = sorted(
         {tuple(float(m) for m in each.mass) for each in decoded},
         key=lambda m: ([mass / min(m) for mass in m], m),  # multiples of the same masses next to each other
@@ -244,51 +232,6 @@ def seen_and_unseen(towers: Towers) -> Figure:
     return figure
 
 
-def oracles() -> Figure:
-    """Draw the MSE of collisions between those of the two oracles, from docs/results/results.csv."""
-    wanted = {"scenario": "collision", "split": "all", "ablation": "full", "positions": "ground_truth", "size": "paper"}
-    wanted |= {"variant": "+size-paper"}
-    found: dict[str, list[dict[str, str]]] = defaultdict(list)
-    with RUNS.open() as file:
-        for run in csv.DictReader(file):
-            if all(run[key] == value for key, value in wanted.items()):
-                found[run["model"]].append(run)
-    runs = {name: found[model] for name, model in ROWS.items()}
-    mse = {name: fmean(float(run["mse"]) for run in each) for name, each in runs.items()}
-    names = sorted(runs, key=lambda name: -mse[name])
-    figure = Figure(figsize=(7.6, 3.4))
-    axis = figure.add_axes((0.225, 0.17, 0.52, 0.6))
-    colors = ["#c9b6e4" if "oracle" in name else "#a9c8ea" for name in names]
-    axis.barh(names, [mse[name] for name in names], color=colors)
-    for row, name in enumerate(names):
-        share = fmean(float(run["share"]) for run in runs[name])
-        axis.text(mse[name] + 0.008, row, f"{mse[name]:.3f}", va="center", fontsize=12)
-        axis.text(
-            1.26,
-            row,
-            f"{100 * share:.0f} %",
-            va="center",
-            ha="right",
-            fontsize=12,
-            transform=axis.get_yaxis_transform(),
-        )
-    axis.text(1.29, 1.04, "share of the\npossible gain", ha="right", fontsize=12, transform=axis.transAxes)
-    for name, text in (("oracle with AB", "best with AB"), ("oracle without AB", "best without AB")):
-        axis.axvline(mse[name], color="0.35", ls=":", zorder=0)
-        axis.annotate(
-            text, (mse[name], 1.04), xycoords=axis.get_xaxis_transform(), ha="center", fontsize=12, color="0.35"
-        )
-    counts = [{int(float(run["num_test"])) for run in runs[name]} for name in ("CoPhyNet", "oracle with AB")]
-    (tests,), (of_oracles,) = counts
-    title = f"Collisions, size=paper: {tests:,} test experiments, {of_oracles:,} of them for oracles"
-    figure.text(0.5, 0.955, title, ha="center", va="center", fontsize=12)
-    axis.set_xlabel("MSE of D (m²), mean over seeds; lower is better", fontsize=12)
-    axis.set(xlim=(0, 0.72))
-    axis.tick_params(labelsize=12)
-    axis.spines[["top", "right"]].set_visible(False)
-    return figure
-
-
 def figures() -> dict[str, Figure]:
     """Return all figures by the names of their files."""
     register()
@@ -298,7 +241,6 @@ def figures() -> dict[str, Figure]:
         "twins": twins(towers),
         "cells": cells(towers),
         "seen_and_unseen": seen_and_unseen(towers),
-        "oracles": oracles(),
     }
 
 

@@ -33,21 +33,21 @@ class Box:
         """Return its centre."""
         return (self.left + self.right) / 2, (self.top + self.bottom) / 2
 
-    def west(self, share: float = 0.5) -> tuple[float, float]:
-        """Return a point of the left edge; the share is of the height, from the top."""
-        return self.left, self.top + share * (self.bottom - self.top)
+    def west(self) -> tuple[float, float]:
+        """Return the middle of the left edge."""
+        return self.left, self.centre[1]
 
-    def east(self, share: float = 0.5) -> tuple[float, float]:
-        """Return a point of the right edge."""
-        return self.right, self.top + share * (self.bottom - self.top)
+    def east(self) -> tuple[float, float]:
+        """Return the middle of the right edge."""
+        return self.right, self.centre[1]
 
-    def north(self, share: float = 0.5) -> tuple[float, float]:
-        """Return a point of the upper edge; the share is of the width, from the left."""
-        return self.left + share * (self.right - self.left), self.top
+    def north(self) -> tuple[float, float]:
+        """Return the middle of the upper edge."""
+        return self.centre[0], self.top
 
-    def south(self, share: float = 0.5) -> tuple[float, float]:
-        """Return a point of the lower edge."""
-        return self.left + share * (self.right - self.left), self.bottom
+    def south(self) -> tuple[float, float]:
+        """Return the middle of the lower edge."""
+        return self.centre[0], self.bottom
 
 
 class Diagram:
