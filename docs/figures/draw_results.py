@@ -17,14 +17,17 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
+from scipy.stats import bootstrap
 
 import cophy
+from cophy.bootstrap import NUM_RESAMPLES
 from cophy.config import settings
 from cophy.dataset.datamodules import ExperimentDataset
 from cophy.dataset.splits import SPLITS, split_of_experiments
 from cophy.drawing.overview import NO_BREAK, Descriptions
 from cophy.drawing.plots import error_over_time
 from cophy.drawing.sheets import REACH, CloseUp, resize, side_by_side, window_of_motion
+from cophy.report.predictions import errors_of_predictions
 from cophy.scenario import Camera
 from cophy.scenario.camera import Window
 from cophy.scenario.rendering import Backend, Renderer, RenderSettings
@@ -50,7 +53,6 @@ CLIP_PX = 280
 CLIP = RenderSettings([], resolution=420, backend=Backend.tiny)
 CELL = RenderSettings([], resolution=PIXELS, backend=Backend.tiny)
 WIDER = 1.4  # field of view of predictions, times that of the dataset
-RESAMPLES = 2000
 COLORS = 256  # of a palette
 PALETTE = Image.Quantize.MAXCOVERAGE  # keeps the colours of small objects
 
@@ -70,8 +72,9 @@ class Held:
 
     def mse(self, predicted: np.ndarray) -> np.ndarray:
         """Return the MSE of each experiment, m²."""
-        squared = np.square(predicted - self.true)[..., : self.dims].mean(axis=(1, 3))
-        return (squared * self.presence).sum(axis=1) / self.presence.sum(axis=1)
+        pair = np.arange(len(predicted)) // 2
+        arrays = {"position": predicted, "target": self.true, "presence": self.presence, "pair": pair}
+        return errors_of_predictions(arrays, self.dims).mse
 
 
 def held_out(data: ExperimentDataset) -> Held:
@@ -215,7 +218,9 @@ def errors_over_time(data: dict[str, ExperimentDataset], held: dict[str, Held], 
         time = np.arange(experiments.true.shape[1] + 1) / data[name].scenario.clock.frame_rate_hz
         for method, color in METHODS.items():
             curves = curves_of_pairs(predicted[name][method], experiments)
-            low, high = band(curves)
+            low, high = bootstrap(
+                (curves,), np.mean, n_resamples=NUM_RESAMPLES, method="percentile", rng=0
+            ).confidence_interval
             axis.plot(time, curves.mean(axis=0), color=color, lw=1.6, label=method)
             axis.fill_between(time, low, high, color=color, alpha=0.2, lw=0)
         axis.set_title(f"{TITLES[name]} (n = {len(experiments.true)})", fontsize=9)
@@ -236,12 +241,6 @@ def curves_of_pairs(predicted: np.ndarray, held: Held) -> np.ndarray:
         for n in range(0, len(predicted), 2)
     ]
     return np.pad(curves, ((0, 0), (1, 0)))
-
-
-def band(curves: np.ndarray) -> np.ndarray:
-    """Return the bootstrap 95 % interval of the mean of curves (N, T), by percentiles: (2, T)."""
-    counts = np.random.default_rng(0).multinomial(len(curves), np.full(len(curves), 1 / len(curves)), RESAMPLES)
-    return np.percentile(counts @ curves / len(curves), [2.5, 97.5], axis=0)
 
 
 def clip(dataset: ExperimentDataset, experiment: int) -> bytes:

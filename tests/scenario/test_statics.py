@@ -90,21 +90,12 @@ def agreement(blocktower: Blocktower, simulator: Simulator, *, towers: int, num_
     return np.array(rows)
 
 
+@pytest.mark.parametrize(("towers", "most_wrong"), [(24, 2), pytest.param(100, 3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("num_levels", [3, 4])
-def test_simulation_agrees_with_the_criterion_beyond_the_margin(
-    scenario_of, simulator: Simulator, num_levels: int
+def test_simulation_agrees_with_the_criterion(
+    scenario_of, simulator: Simulator, num_levels: int, towers: int, most_wrong: int
 ) -> None:
     blocktower = scenario_of("blocktower")
-    rows = agreement(blocktower, simulator, towers=24, num_levels=num_levels, seed=1)
+    rows = agreement(blocktower, simulator, towers=towers, num_levels=num_levels, seed=2)
     assert rows[np.abs(rows[:, 0]) >= blocktower.min_margin, 1].all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("num_levels", [3, 4])
-def test_simulation_agrees_with_the_criterion_on_a_hundred_towers(
-    scenario_of, simulator: Simulator, num_levels: int
-) -> None:
-    blocktower = scenario_of("blocktower")
-    rows = agreement(blocktower, simulator, towers=100, num_levels=num_levels, seed=2)
-    assert rows[np.abs(rows[:, 0]) >= blocktower.min_margin, 1].all()
-    assert rows[:, 1].mean() >= 0.97
+    assert (rows[:, 1] == 0).sum() <= most_wrong

@@ -72,7 +72,7 @@ class ComposedData:
         """
         source = size if size in FORMATS else GENERATED
         if source != self.source:
-            raise CophyError(f"its data are of source={source}, and these tables of source={self.source}")
+            raise CophyError(f"its data come from source={source}, but these tables are for source={self.source}")
         if source != GENERATED:
             return None
         return frozenset(self.dataset(scenario, count, size).id for count in self.scenario(scenario).num_objects)
