@@ -102,7 +102,8 @@ class Targets:
         initial: True positions in C, metres.
         observed_presence: True presence in AB.
         confounder_class: Index of the mass, and of the friction, among the values of the scenario's grid.
-        pair: Index of the twin pair, shared by both twins. Released experiments have no twins.
+        pair: Index of the twin pair, shared by both twins; -1 in the test split until predictions are scored. Released
+            experiments have no twins.
         cell: Index into `Scenario.cells()`; -1 where it is unknown (released data).
     """
 

@@ -7,19 +7,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from sklearn.ensemble import HistGradientBoostingRegressor
+from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingRegressor
 from sklearn.model_selection import GroupKFold
 from threadpoolctl import threadpool_limits
 
-from cophy.audit.checks import Check, geometry_of
+from cophy.audit.checks import Check, geometry_of, slots_in_order, three_sigma
 from cophy.bootstrap import interval
 from cophy.dataset.difficulty import further_than_twin, in_place, objects_distance, stands
 from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS
 
 NUM_FOLDS = 5
 # ours: accuracy above chance. In the paper's data it is 0.8 % above "all blocks stay" (Table 6 right: 71.8, 71.0 %)
 MAX_BIAS = 0.02
+NUM_TREES = 50  # ours
+PERIODS = (2, 4, 8)  # ours: the pairs of a block, and their twins
 MIN_EXPERIMENTS = 2000  # in smaller datasets the limit is three standard deviations where that is more than MAX_BIAS
 
 
@@ -42,6 +45,49 @@ def check_bias(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
         yield from _check_tower_bias(arrays, spec, statics.fallen_distance)
     else:
         yield from _check_distance_bias(arrays, spec)
+
+
+def check_stored_order(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
+    """Check that the place of an experiment, its twin number and its background tell nothing of its outcome and confounders.
+
+    The trees are grown fully, so that they find the experiments of known outcome that are stored nearby.
+    """
+    if len(np.unique(arrays["twin"])) < NUM_FOLDS:
+        return
+    index, twin = arrays["experiment"], arrays["twin"]
+    remainders = [each % period for each in (index, twin) for period in PERIODS]
+    features = np.stack([index, twin, arrays["background_seed"], arrays["split"], *remainders], axis=1)
+    targets = _hidden_values(arrays, spec)
+    labels = np.stack([np.unique(values, return_inverse=True)[1] for values in targets.values()], axis=1)
+    predicted = np.zeros_like(labels)
+    with threadpool_limits(1):
+        for train, test in GroupKFold(NUM_FOLDS).split(features, groups=twin):
+            trees = ExtraTreesClassifier(NUM_TREES, random_state=0).fit(features[train], labels[train])
+            predicted[test] = trees.predict(features[test])
+    accuracy = (predicted == labels).mean(axis=0)
+    chance = np.array([np.bincount(column).max() / len(column) for column in labels.T])
+    margin = np.maximum(MAX_BIAS, [three_sigma(share, len(np.unique(twin))) for share in chance])
+    worst = int((accuracy - chance - margin).argmax())
+    result = f"of {len(targets)} values, {list(targets)[worst]} best: {accuracy[worst]:.1%}"
+    result += f", by chance {chance[worst]:.1%}, at most {chance[worst] + margin[worst]:.1%}"
+    passed = bool((accuracy <= chance + margin).all())
+    yield Check("the stored order predicts outcomes and confounders", result, passed)
+
+
+def _hidden_values(arrays: Arrays, spec: DatasetSpec) -> Arrays:
+    """Return (experiment,) outcomes and confounders of more than one value, by name."""
+    if spec.scenario.statics is not None:
+        outcomes = stands(arrays, spec.scenario.statics.fallen_distance)
+        words = "stands"
+    else:
+        outcomes, words = further_than_twin(arrays), "travels farther than the twin's"
+    slots = slots_in_order(arrays, spec.num_objects)
+    values = {f"AB {words}": outcomes[:, 0], f"CD {words}": outcomes[:, 1]}
+    values |= {f"gravity {'xyz'[axis]}": arrays["gravity"][:, axis] for axis in range(3)}
+    for name in CONFOUNDERS_OF_OBJECTS:
+        in_order = np.take_along_axis(arrays[name], slots, axis=1)
+        values |= {f"{name} of object {k}": in_order[:, k] for k in range(spec.num_objects)}
+    return {name: value for name, value in values.items() if len(np.unique(value)) > 1}
 
 
 def _check_tower_bias(arrays: Arrays, spec: DatasetSpec, fallen_distance: float) -> Iterator[Check]:

@@ -14,7 +14,6 @@ from scipy.stats import ks_2samp
 from cophy.dataset.difficulty import in_place, mean_distance, stands, twin_differences
 from cophy.dataset.shards import Arrays, Sharded
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.splits import split_of_experiments
 from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, build_scene, do_operation_of, trajectories_of, visible_axis
 from cophy.scenario import Scenario, Shape
 from cophy.scenario.assignment import canonical_problems
@@ -163,17 +162,19 @@ def check_twins(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     yield _check_index(arrays, spec)
     if spec.scenario.statics is not None:
         yield _check_held_out(arrays, spec)
-    passed = np.array_equal(arrays["split"], split_of_experiments(spec.num_experiments, spec.data_seed))
+    passed = np.array_equal(arrays["split"], spec.order.split[arrays["experiment"]])
     shares = " : ".join(f"{share:.2f}" for share in np.bincount(arrays["split"], minlength=3) / len(arrays["split"]))
     yield Check("train : val : test, by twin pair", shares, passed)
 
 
 def _check_index(arrays: Arrays, spec: DatasetSpec) -> Check:
-    """Check that the configuration, do-operation, cell and `seen` of every experiment follow from its index."""
+    """Check that the configuration, do-operation, cell and `seen` of every experiment follow from its place."""
     seen = spec.scenario.seen_configurations(spec.num_objects, spec.data_seed)
     wrong = np.flatnonzero(arrays["seen"] != (True if seen is None else seen[arrays["configuration"]])).tolist()
     for row in range(0, len(arrays["twin"]), 2):
-        assignment = spec.scenario.assignment(spec.num_objects, data_seed=spec.data_seed, pair=int(arrays["twin"][row]))
+        place = int(arrays["experiment"][row])
+        series, pair = int(spec.order.split[place]), int(spec.order.number[place])
+        assignment = spec.scenario.assignment(spec.num_objects, data_seed=spec.data_seed, series=series, pair=pair)
         expected = (assignment.first, assignment.do_operation, assignment.cell)
         stored = tuple(int(arrays[name][row]) for name in ("configuration", "do_operation", "cell"))
         if stored != expected or int(arrays["configuration"][row + 1]) not in assignment.seconds:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from cophy.audit.checks import Check, scenes_of, three_sigma
 from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import build_scene, do_operation_of, to_arrays, trajectories_of
+from cophy.dataset.states import build_scene, do_operation_of, make_twins, to_arrays, trajectories_of
 from cophy.scenario import Scenario, Simulator
 from cophy.scenario.physics import Scene, Trajectory, trajectory_distance
 from cophy.scenario.statics import Combinations
@@ -41,8 +41,9 @@ def check_resimulation(arrays: Arrays, spec: DatasetSpec, num_pairs: int) -> Ite
     with Simulator() as simulator:
         for pair in tqdm(pairs, unit="pair", desc="resimulated", leave=False):
             rows = [2 * pair, 2 * pair + 1]
-            experiments = scenario.twin_pair(spec.num_objects, data_seed=spec.data_seed, pair=pair, simulator=simulator)
-            regenerated = to_arrays(experiments, rows, spec)
+            experiments = make_twins(spec, int(arrays["twin"][rows[0]]), simulator)
+            regenerated = to_arrays(experiments, arrays["experiment"][rows].tolist(), spec)
+            regenerated["twin"] = arrays["twin"][rows]  # known here in the test split too
             if not all(np.array_equal(regenerated[name], arrays[name][rows]) for name in regenerated):
                 different.append(pair)
             simulated = [[scenario.simulate(simulator, s) for s in scenes_of(arrays, row, scenario)] for row in rows]

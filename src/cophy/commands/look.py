@@ -3,6 +3,7 @@
 import logging
 from pathlib import Path
 
+import numpy as np
 from omegaconf import DictConfig
 
 from cophy import cli
@@ -37,7 +38,8 @@ def main(cfg: DictConfig) -> None:
         raise CophyError(f"experiment={settings.experiment} is not among the {spec.num_experiments} of {spec.id}")
     dataset = spec.scenario, arrays, settings.render
     num_experiments = write_contact_sheet(directory / "sheet.png", *dataset, settings.num_shown)
-    write_twins(directory / "twins.png", *dataset, settings.experiment)
+    first, second = np.flatnonzero(spec.order.pair == spec.order.pair[settings.experiment]).tolist()
+    write_twins(directory / "twins.png", *dataset, (first, second))
     write_modalities(directory / "modalities.png", *dataset, settings.experiment)
     write_experiment(directory, *dataset, settings.experiment)
     with Renderer(spec.scenario, settings.render.resolution, settings.render.backend) as renderer:

@@ -49,7 +49,9 @@ seed {spec.data_seed}; `manifest.json` holds the whole configuration, versions a
     python src/generate.py {spec.command_line_keys(directory)}
 
 Every experiment is an observed sequence AB and a counterfactual one CD under the same confounders ({grid}), which no picture
-shows; experiments 2i and 2i + 1 are twins that share A, C and the do-operation ({", ".join(scenario.do_operations)}).
+shows. Every experiment has a twin that shares A, C and the do-operation ({", ".join(scenario.do_operations)}). Experiments are
+stored in random order, so an index tells nothing. `twin` is equal for both twins, and -1 in the test split: `test_twins.csv` has
+those of the test split, for scoring only. A prediction must not depend on any other test experiment.
 Sequences: {clock.num_frames} frames at {clock.frame_rate_hz} Hz, states at {clock.state_rate_hz} Hz. Slots: {", ".join(scenario.colors)}.
 Units: m, s, kg; z up. Splits 0, 1, 2: train, validation, test.
 

@@ -111,8 +111,10 @@ class CounterfactualDataset(Dataset[Batch]):
         return DataLoader(self, sampler=shuffled_batches(self, batch_size, seed=seed, share=share), batch_size=None)
 
     def in_order(self, batch_size: int, *, share: DeviceShare = ONE_DEVICE) -> DataLoader[Batch]:
-        """Return all experiments in order, twins in one batch, see `ordered_batches`."""
-        batches = ordered_batches(self.batch.targets.pair.numpy(), batch_size, share)
+        """Return all experiments in order, with neighbours that are twins in one batch, see `ordered_batches`."""
+        pair = self.batch.targets.pair.numpy()
+        groups = np.where(pair < 0, -1 - np.arange(len(pair)), pair)  # in the test split it is unknown which are twins
+        batches = ordered_batches(groups, batch_size, share)
         return DataLoader(self, sampler=batches, batch_size=None)
 
 
@@ -233,6 +235,8 @@ class CounterfactualDataModule(L.LightningDataModule):
             raise CophyError(
                 f"split={self.split.name} leaves no {split} experiments of {experiments.id}: {experiments.remedy}"
             )
+        if split == "val":  # twins next to each other, for the metrics of twins
+            return rows[np.argsort(stored[experiments.id]["twin"][rows], kind="stable")]
         if split != "train" or self.num_experiments is None:
             return rows
         if self.num_experiments > len(rows):

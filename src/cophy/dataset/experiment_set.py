@@ -105,6 +105,14 @@ class ExperimentSet(ShardSet):
         """What the user can do if it contains too few experiments."""
 
     @abstractmethod
+    def pairs(self, rows: np.ndarray) -> np.ndarray:
+        """Return the twin pairs of experiments, equal for twins. They are for scoring only: the test split hides them.
+
+        Args:
+            rows: (experiment,) rows of the loaded arrays.
+        """
+
+    @abstractmethod
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> "FrameSource":
         """Return the images of the experiments.
 
@@ -114,13 +122,10 @@ class ExperimentSet(ShardSet):
         """
 
     @abstractmethod
-    def has_same_splits(
-        self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
-    ) -> bool:
+    def has_same_splits(self, *, data_seed: int, trained_on: Sequence[str]) -> bool:
         """Return whether a training had the same splits, so that no test experiment of this set was trained on.
 
         Args:
-            num_experiments: Experiments per scenario and number of objects, of the size of the training.
             data_seed: Seed of the datasets of the training.
             trained_on: Ids of these datasets.
         """

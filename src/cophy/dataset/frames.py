@@ -85,8 +85,11 @@ class FrameDataset(Dataset[FrameBatch]):
     @property
     def pairs(self) -> np.ndarray:
         """(frame,) number of the twin pair of each frame, different for all sources."""
-        twin = [self.sources[source][1]["twin"][row] for source, row in self.index[:, :2]]
-        return np.array(twin) * len(self.sources) + self.index[:, 0]
+        pairs = np.zeros(len(self.index), dtype=np.int64)
+        for source, (images, _) in enumerate(self.sources):
+            chosen = self.index[:, 0] == source
+            pairs[chosen] = images.states.pairs(self.index[chosen, 1])
+        return pairs * len(self.sources) + self.index[:, 0]
 
     def sequence_of(self, item: int) -> FrameBatch:
         """Return all frames, in time, of the sequence that contains a frame."""

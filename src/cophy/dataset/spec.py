@@ -7,10 +7,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cophy.dataset.splits import StoredOrder, stored_order
 from cophy.errors import CophyError, check_name
 from cophy.scenario import Scenario
 
-FORMAT_VERSION = 3  # increase it when the arrays of a shard or the experiments of all scenarios change
+FORMAT_VERSION = 4  # increase it when the arrays of a shard or the experiments of all scenarios change
 
 
 @dataclass
@@ -64,6 +65,16 @@ class DatasetSpec:
         """Return the indices of the experiments in a shard."""
         first = shard * self.size.experiments_per_shard
         return range(first, min(first + self.size.experiments_per_shard, self.num_experiments))
+
+    @property
+    def order(self) -> StoredOrder:
+        """Which experiment each place holds. It says which test experiments are twins, so only scoring and audits read it."""
+        return stored_order(
+            self.num_experiments,
+            self.size.experiments_per_shard,
+            num_objects=self.num_objects,
+            data_seed=self.data_seed,
+        )
 
     def generating_configuration(self) -> dict[str, Any]:
         """Return everything the bytes depend on, as plain values. `task` only says how predictions are evaluated."""

@@ -1,6 +1,8 @@
-"""Training, validation and test experiments: 0.7 : 0.2 : 0.1 of the twin pairs, and the parts that `split=` names."""
+"""Training, validation and test experiments, the order in which they are stored, and the parts that `split=` names."""
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,9 +77,41 @@ class Split:
             )
 
 
-def split_of_experiments(num_experiments: int, data_seed: int) -> np.ndarray:
-    """Return the index into SPLITS of each experiment, equal for the twins 2p and 2p + 1: (experiment,)."""
+class StoredOrder(NamedTuple):
+    """Which experiment each place of a dataset holds. The order is random, so that a place tells nothing of its experiment.
+
+    Attributes:
+        split: (experiment,) index into SPLITS.
+        number: (experiment,) index of its twin pair among the pairs of the split, as `Scenario.twin_pair` counts them.
+        second: (experiment,) bool, whether it is the second twin.
+        pair: (experiment,) twin pair, equal for twins; they are in one shard. Pairs have random numbers, too.
+    """
+
+    split: np.ndarray
+    number: np.ndarray
+    second: np.ndarray
+    pair: np.ndarray
+
+
+@lru_cache(maxsize=64)
+def stored_order(num_experiments: int, experiments_per_shard: int, *, num_objects: int, data_seed: int) -> StoredOrder:
+    """Return the stored order of a dataset, with 0.7 : 0.2 : 0.1 of its twin pairs in the splits.
+
+    The first pairs of each split are the same whatever the size, so the splits of a small dataset are parts of those of a
+    large one.
+    """
     num_pairs = num_experiments // 2
-    ends = np.round(np.cumsum(FRACTIONS) * num_pairs)
-    rank = np.random.default_rng((data_seed, 0x5B117)).permutation(num_pairs)
-    return np.repeat(np.searchsorted(ends, rank, side="right"), 2).astype(np.uint8)
+    ends = np.round(np.cumsum(FRACTIONS) * num_pairs).astype(int)
+    rng = np.random.default_rng((data_seed, num_objects, 0x5B117))
+    made = rng.permutation(num_pairs)  # the pair that each number stands for: first those of training
+    split = np.searchsorted(ends, made, side="right")
+    number = made - np.concatenate([[0], ends])[split]
+    shards = [
+        rng.permutation(np.arange(first, min(first + experiments_per_shard, num_experiments)))
+        for first in range(0, num_experiments, experiments_per_shard)
+    ]
+    pair, second = np.divmod(np.concatenate(shards), 2)
+    order = StoredOrder(split[pair].astype(np.uint8), number[pair], second.astype(bool), pair)
+    for array in order:
+        array.setflags(write=False)  # it is cached
+    return order

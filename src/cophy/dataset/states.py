@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from cophy.atomic_files import write_atomically
 from cophy.dataset.cards import write_card
 from cophy.dataset.experiment_set import ALL_FRAMES, ExperimentSet, NeededFrames
 from cophy.dataset.images import Images
 from cophy.dataset.shards import Arrays, Field, Fields, empty_arrays, encode
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.splits import SPLITS, split_of_experiments
+from cophy.dataset.splits import SPLITS
 from cophy.scenario import Displace, Experiment, Scenario, Shape, Simulator
 from cophy.scenario.experiment import DoOperation, Remove
 from cophy.scenario.physics import Body, Scene, Trajectory, x_axis, z_axis
@@ -23,6 +24,7 @@ from cophy.scenario.rendering import RenderSettings
 HIDDEN = "a confounder: no picture shows it"
 EMPTY = "zero where a slot is empty"
 SHAPES = ", ".join(["0: none", *(f"{shape.value}: {shape.name.lower()}" for shape in Shape)])
+TEST_TWINS = "test_twins.csv"  # which test experiments are twins, to score predictions with; models must not see it
 WHICH_SEQUENCE = "sequence 0 is AB, which is observed, and 1 is CD, the counterfactual"
 CONFOUNDERS_OF_OBJECTS = ("mass", "friction", "restitution")
 
@@ -87,10 +89,9 @@ def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
             (count, 3), "<f4", "experiment, x y z", "by how much it is moved; zero where it is removed", "m"
         ),
         "cell": per_experiment("|u1", f"the kind of experiment that was searched for: {_numbered(scenario.cells())}"),
-        "twin": per_experiment("<i4", "number of the pair of twins; experiments 2 i and 2 i + 1 are twins"),
+        "twin": per_experiment("<i4", "number of the pair of twins, equal for both; -1 in the test split"),
         "split": per_experiment("|u1", _numbered(SPLITS)),
         "background_seed": per_experiment("<i4", "what floor and backdrop of the pictures follow from"),
-        "pair_simulations": per_experiment("<i4", "simulations that the search for the pair took"),
     }
 
 
@@ -102,14 +103,14 @@ def to_arrays(experiments: Sequence[Experiment], indices: Sequence[int], spec: D
     """Stack experiments.
 
     Args:
-        experiments: Both twins of each pair, in order.
+        experiments: The experiments.
         indices: Their indices in the dataset.
         spec: The dataset.
     """
-    arrays = empty_arrays(experiment_fields(spec, len(indices)))
+    arrays, order = empty_arrays(experiment_fields(spec, len(indices))), spec.order
     arrays["object_index"][:] = -1
-    arrays["twin"][:] = np.array(indices) // 2
-    arrays["split"][:] = split_of_experiments(spec.num_experiments, spec.data_seed)[list(indices)]
+    arrays["split"][:] = order.split[list(indices)]
+    arrays["twin"][:] = np.where(arrays["split"] == SPLITS.index("test"), -1, order.pair[list(indices)])
     seen = spec.scenario.seen_configurations(spec.num_objects, spec.data_seed)
     for row, experiment in enumerate(experiments):
         operation, sequences = experiment.do_operation, (experiment.observed, experiment.counterfactual)
@@ -124,7 +125,6 @@ def to_arrays(experiments: Sequence[Experiment], indices: Sequence[int], spec: D
             "do_offset": operation.offset_m if isinstance(operation, Displace) else 0.0,
             "cell": experiment.cell,
             "background_seed": experiment.background_seed,
-            "pair_simulations": experiment.pair_simulations,
         }
         for name, value in values.items():
             arrays[name][row] = value
@@ -134,6 +134,26 @@ def to_arrays(experiments: Sequence[Experiment], indices: Sequence[int], spec: D
             for name in CONFOUNDERS_OF_OBJECTS:
                 arrays[name][row, body.slot] = getattr(body, name)
     return arrays
+
+
+def make_twins(spec: DatasetSpec, pair: int, simulator: Simulator) -> tuple[Experiment, Experiment]:
+    """Generate both experiments of a twin pair, given its number in the dataset (`StoredOrder.pair`)."""
+    order = spec.order
+    index = int(np.flatnonzero(order.pair == pair)[0])
+    series, number = int(order.split[index]), int(order.number[index])
+    return spec.scenario.twin_pair(
+        spec.num_objects, data_seed=spec.data_seed, series=series, pair=number, simulator=simulator
+    )
+
+
+def sort_by_twins(arrays: Arrays, spec: DatasetSpec) -> Arrays:
+    """Return all experiments of a dataset with twins next to each other, the first one first, for checks of the data.
+
+    Returns:
+        The same arrays, but `twin` is also known for test experiments; `experiment` is the index in the dataset.
+    """
+    rows = np.lexsort((spec.order.second, spec.order.pair))
+    return {name: array[rows] for name, array in arrays.items()} | {"twin": spec.order.pair[rows], "experiment": rows}
 
 
 def build_scene(arrays: Arrays, row: int, scenario: Scenario) -> Scene:
@@ -232,10 +252,11 @@ class States(ExperimentSet):
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> Images:
         return Images(self, render, needed)
 
-    def has_same_splits(
-        self, *, num_experiments: dict[str, dict[str, int]], data_seed: int, trained_on: Sequence[str]
-    ) -> bool:
-        return (num_experiments, data_seed) == (self.spec.size.num_experiments, self.spec.data_seed)
+    def pairs(self, rows: np.ndarray) -> np.ndarray:
+        return self.spec.order.pair[rows]
+
+    def has_same_splits(self, *, data_seed: int, trained_on: Sequence[str]) -> bool:
+        return data_seed == self.spec.data_seed  # splits of different sizes are parts of each other
 
     def fields(self, shard: int) -> Fields:
         return experiment_fields(self.spec, len(self.spec.experiments_of_shard(shard)))
@@ -243,18 +264,20 @@ class States(ExperimentSet):
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Search and simulate the experiments of a shard."""
         spec, indices = self.spec, self.spec.experiments_of_shard(shard)
-        experiments: list[Experiment] = []
+        twins: dict[int, tuple[Experiment, Experiment]] = {}
         with Simulator() as simulator:
-            for first in indices[::2]:
-                experiments += spec.scenario.twin_pair(
-                    spec.num_objects, data_seed=spec.data_seed, pair=first // 2, simulator=simulator
-                )
+            for pair in np.unique(spec.order.pair[list(indices)]).tolist():
+                twins[pair] = make_twins(spec, pair, simulator)
                 advance(2)
+        experiments = [twins[spec.order.pair[index]][int(spec.order.second[index])] for index in indices]
         path.write_bytes(encode(to_arrays(experiments, indices, spec), self.fields(shard), self.attributes(shard)))
         return {"simulations": simulator.num_simulations}
 
     def write_manifest(self) -> None:
         super().write_manifest()
+        tested = np.flatnonzero(self.spec.order.split == SPLITS.index("test"))
+        lines = ["experiment,twin", *(f"{index},{self.spec.order.pair[index]}" for index in tested)]
+        write_atomically(self.directory / TEST_TWINS, ("\n".join(lines) + "\n").encode())
         self.write_card(f"not run yet, `{self.command_for('audit')}`")
 
     def write_card(self, audit: str) -> None:

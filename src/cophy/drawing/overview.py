@@ -104,27 +104,21 @@ def _components(vector: np.ndarray, camera: Camera) -> dict[str, float]:
     }
 
 
-def twins_of(experiment: int) -> tuple[int, int]:
-    """Return the experiment and its twin, in the dataset's order."""
-    first = experiment - experiment % 2
-    return first, first + 1
-
-
 def render_twins(
-    scenario: Scenario, arrays: dict[str, np.ndarray], render: RenderSettings, experiment: int
+    scenario: Scenario, arrays: dict[str, np.ndarray], render: RenderSettings, pair: tuple[int, int]
 ) -> np.ndarray:
     """Render AB and CD of both twins, cropped to one window: (twin, sequence, frame of the strip, R, R, 3) uint8."""
-    pair, times = twins_of(experiment), strip_times(scenario)
+    times = strip_times(scenario)
     close_up = CloseUp(scenario, arrays, pair, render)
     return np.stack([[frames.rgb for frames in close_up.frames(twin, times)] for twin in tqdm(pair, desc="twins")])
 
 
 def write_twins(
-    path: Path, scenario: Scenario, arrays: dict[str, np.ndarray], render: RenderSettings, experiment: int
+    path: Path, scenario: Scenario, arrays: dict[str, np.ndarray], render: RenderSettings, pair: tuple[int, int]
 ) -> None:
     """Write both twins' AB, one above the other, and below them both twins' CD, with the confounders of each."""
-    pair, descriptions = twins_of(experiment), Descriptions(scenario, arrays)
-    images, differing = render_twins(scenario, arrays, render, experiment), descriptions.differing(*pair)
+    descriptions = Descriptions(scenario, arrays)
+    images, differing = render_twins(scenario, arrays, render, pair), descriptions.differing(*pair)
     labels = [
         [Line(f"twin {n}", bold=True), Line("hidden:"), *descriptions.confounders(twin, bold=differing)]
         for n, twin in enumerate(pair, start=1)
@@ -201,12 +195,12 @@ def strip_times(scenario: Scenario) -> list[int]:
 def write_contact_sheet(
     path: Path, scenario: Scenario, arrays: dict[str, np.ndarray], render: RenderSettings, num_shown: int
 ) -> int:
-    """Write A, B, C and D of the first experiment of `num_shown` twin pairs, with do-operation and confounders.
+    """Write A, B, C and D of the first `num_shown` experiments, with do-operation and confounders.
 
     Returns:
         The number of experiments on the sheet.
     """
-    experiments = range(0, min(2 * num_shown, len(arrays["states"])), 2)
+    experiments = range(min(num_shown, len(arrays["states"])))
     descriptions, rows = Descriptions(scenario, arrays), list[Row]()
     for row in tqdm(experiments, desc="contact sheet"):
         frames = CloseUp(scenario, arrays, [row], render).frames(row, [0, -1])
@@ -214,7 +208,7 @@ def write_contact_sheet(
     end = at(scenario.clock.num_frames - 1, scenario.clock.frame_rate_hz)
     headings = ["A: start, 0.0 s", f"B: end of AB, {end}", "C: changed start, 0.0 s", f"D: end of CD, {end}"]
     sheet = labelled_rows(headings, rows, cell_px(render.resolution))
-    title = Line(f"{scenario.name}: the first of each of {len(experiments)} pairs of twins", bold=True)
+    title = Line(f"{scenario.name}: the first {len(experiments)} experiments", bold=True)
     rule = (
         f"The do-operation changes A to C. No single image shows {descriptions.hidden}; they are the same in AB and CD."
     )

@@ -218,7 +218,7 @@ class DrawnPredictions:
     def _pair(self) -> slice:
         """Return the twins whose true D differ most, or one experiment if there are no twins (released data)."""
         position, pair = self.batch.targets.position, self.batch.targets.pair
-        twins = pair[1:] == pair[:-1]
+        twins = (pair[1:] == pair[:-1]) & (pair[1:] >= 0)
         if not twins.any():
             return slice(0, 1)
         distance = (position[1:] - position[:-1]).square().sum(dim=(1, 2, 3)) * twins

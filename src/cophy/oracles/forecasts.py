@@ -12,8 +12,8 @@ import numpy as np
 from cophy.dataset.experiment_set import ExperimentSet
 from cophy.dataset.shards import Field, Fields, ShardSet, empty_arrays, encode
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.splits import SPLITS, split_of_experiments
-from cophy.dataset.states import States, stable_frames
+from cophy.dataset.splits import SPLITS
+from cophy.dataset.states import States, make_twins, stable_frames
 from cophy.errors import CophyError
 from cophy.oracles.posterior import Hypotheses, posterior, resample
 from cophy.scenario import Scenario, Trajectory
@@ -32,8 +32,7 @@ class OracleSettings:
     """Settings of the oracles, explained in conf/model/.
 
     draws: samples of D where the possible outcomes are not enumerated. max_configurations: confounder configurations that
-    are fitted to AB. noise: assumed error of every observed coordinate, m. max_experiments: the number of test experiments,
-    counted from the first.
+    are fitted to AB. noise: assumed error of every observed coordinate, m. max_experiments: the number of test experiments.
     """
 
     draws: int
@@ -88,7 +87,8 @@ class OracleForecasts(ShardSet):
             for index in range(0, len(rows), 2):
                 simulator.clear_cache()  # twins share scenes, pairs do not
                 observed = self._observed(arrays, rows[index : index + 2])
-                for twin, by_oracle in enumerate(self._of_pair(int(first + rows[index]) // 2, observed, simulator)):
+                pair = int(self.spec.order.pair[first + rows[index]])
+                for twin, by_oracle in enumerate(self._of_pair(pair, observed, simulator)):
                     for oracle, hypotheses in by_oracle.items():
                         for name, value in forecast_of(hypotheses, self.spec.scenario).items():
                             stored[f"{oracle}_{name}"][index + twin] = value
@@ -126,7 +126,7 @@ class OracleForecasts(ShardSet):
             CophyError: The stored pair is another one.
         """
         scenario, settings = self.spec.scenario, self.settings
-        twins = scenario.twin_pair(self.spec.num_objects, data_seed=self.spec.data_seed, pair=pair, simulator=simulator)
+        twins = make_twins(self.spec, pair, simulator)
         for twin, seen in zip(twins, observed, strict=True):
             self._check_same(twin.observed, seen)
         scene, do_operation = twins[0].scene, twins[0].do_operation
@@ -171,12 +171,13 @@ class OracleForecasts(ShardSet):
             )
 
     def _test_experiments(self) -> np.ndarray:
-        """Return the indices of the test experiments in the dataset."""
-        split = split_of_experiments(self.spec.num_experiments, self.spec.data_seed)
-        return np.flatnonzero(split == SPLITS.index("test"))
+        """Return the indices of the test experiments in the dataset, twins next to each other, the first one first."""
+        order = self.spec.order
+        indices = np.lexsort((order.second, order.pair))
+        return indices[order.split[indices] == SPLITS.index("test")]
 
     def _rows(self, shard: int) -> np.ndarray:
-        """Return the rows of a shard that have forecasts."""
+        """Return the rows of a shard that have forecasts, in the order of `_test_experiments`."""
         indices, within = (
             self._test_experiments()[: self.settings.max_experiments],
             self.spec.experiments_of_shard(shard),

@@ -130,8 +130,8 @@ def draw_initial_velocities(scenario: Scenario, scene: Scene, rng: np.random.Gen
     """
     if isinstance(scenario, Balls):
         return scenario.sample_velocities(len(scene.objects), rng)
-    if isinstance(scenario, Collision):  # A determines them
-        return scenario.initial_velocities(scene)
+    if isinstance(scenario, Collision):
+        return scenario.sample_velocities(scene, rng)
     raise unknown_scenario(scenario)
 
 

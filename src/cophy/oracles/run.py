@@ -35,9 +35,9 @@ class OracleModule(PredictionModule):
 
     def on_test_epoch_end(self) -> None:
         data = self.trainer.datamodule  # type: ignore[attr-defined]
-        prediction = self.network.forecast(data)
-        batch = take(data.test.batch, slice(len(prediction.position)))
-        self.tested = prediction, batch
+        prediction, rows = self.network.forecast(data)
+        batch = take(data.test.batch, torch.from_numpy(rows))
+        self.tested = prediction, batch, rows
         logger = next((each for each in self.trainer.loggers if isinstance(each, TensorBoardLogger)), None)
         if logger is not None and self.trainer.is_global_zero:
             drawn = DrawnPredictions(take(batch, slice(NUM_DRAWN)), self.scenario, "test")
@@ -64,8 +64,10 @@ class Oracle(nn.Module):
         self.oracle = oracle
         self.settings = OracleSettings(draws, max_configurations, noise, max_experiments)
 
-    def forecast(self, data: CounterfactualDataModule) -> Prediction:
-        """Return the oracle's prediction of the first test experiments; missing forecasts are simulated first.
+    def forecast(self, data: CounterfactualDataModule) -> tuple[Prediction, np.ndarray]:
+        """Return the oracle's prediction of some test experiments, and their rows in the test split.
+
+        Missing forecasts are simulated first.
 
         Raises:
             CophyError: The split tests on none of the experiments that have forecasts.
@@ -73,10 +75,10 @@ class Oracle(nn.Module):
         forecasts = oracle_forecasts(data.test_set, self.settings)
         generation.ensure(forecasts, workers=data.workers)
         arrays = forecasts.load()
-        rows = np.flatnonzero(np.isin(arrays["experiment"], data.test_experiments))
+        _, rows, tested = np.intersect1d(arrays["experiment"], data.test_experiments, return_indices=True)
         if not len(rows):
             raise CophyError(f"split={data.split.name} tests on none of the experiments that oracles forecast")
         position, stable, variance = (
             torch.from_numpy(arrays[f"{self.oracle}_{name}"][rows]) for name in ("position", "stable", "draw_variance")
         )
-        return Prediction(position, torch.logit(stable, eps=MIN_PROBABILITY), draw_variance=variance)
+        return Prediction(position, torch.logit(stable, eps=MIN_PROBABILITY), draw_variance=variance), tested

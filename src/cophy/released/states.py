@@ -79,7 +79,10 @@ class ReleasedStates(ExperimentSet):
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> "ReleasedClips":
         return ReleasedClips(self)
 
-    def has_same_splits(self, *, trained_on: Sequence[str], **generated: Any) -> bool:
+    def pairs(self, rows: np.ndarray) -> np.ndarray:
+        return rows  # they have no twins
+
+    def has_same_splits(self, *, data_seed: int, trained_on: Sequence[str]) -> bool:
         return self.id in trained_on
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:

@@ -16,6 +16,7 @@ from cophy.dataset.difficulty import difficulty
 from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
+from cophy.dataset.states import sort_by_twins
 from cophy.drawing.plots import square_root
 from cophy.report.figures import row_name, sort_rows
 from cophy.report.runs import comparable_seeds
@@ -56,7 +57,9 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
         Where groups hold whole twin pairs (WHOLE_PAIRS): explained, explained_low and explained_high, shares of the twins'
         difference; NaN elsewhere.
     """
-    tested = part.select_split(arrays, "test")
+    arrays = sort_by_twins(arrays, spec)
+    tested = np.flatnonzero(part.select_split(arrays, "test"))
+    tested = tested[np.lexsort((arrays["experiment"][tested], arrays["twin"][tested]))]  # as in predictions.npz
     test_arrays = {name: array[tested] for name, array in arrays.items()}
     truth, twins, lines = to_batch(test_arrays, spec.scenario).targets, test_arrays["twin"], []
     measures = difficulty(arrays, spec)

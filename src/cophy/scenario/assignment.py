@@ -1,6 +1,6 @@
 """What each twin pair of a dataset must be: confounders, cell, do-operation; and which confounders † splits hold out.
 
-Datasets are balanced by construction. Consecutive pairs form a block, which shares one pair of confounder configurations and
+Training, validation and test are balanced by construction. Consecutive pairs form a block, which shares one pair of confounder configurations and
 one kind of do-operation. A scenario has one or several kinds of block, used in turn; each lists the cells of its pairs. In
 every block, both configurations have every outcome equally often, so no value of a confounder predicts the outcome.
 """
@@ -45,26 +45,29 @@ def assign(
     seen: np.ndarray | None,
     num_do_operations: int,
     blocks: tuple[tuple[int, ...], ...],
+    series: int = 0,
 ) -> PairAssignment:
     """Return the assignment of a twin pair, a pure function of its index, the seed and the scenario.
 
     Where † splits hold out half of the configurations, both twins come from the same half, so that these splits keep
-    twins together. Blocks alternate between the halves.
+    twins together. Pairs alternate between the halves.
 
     Args:
-        pair: Index of the twin pair in the dataset.
+        pair: Index of the twin pair in its series.
         data_seed: Seed of the dataset.
         num_configurations: Number of configurations of the confounders.
         seen: (configuration,) bool, the half that † splits train on; None if they hold out nothing.
         num_do_operations: Number of kinds of do-operations.
         blocks: Kinds of block, each with the cells of its pairs.
+        series: Training, validation and test are one series each. Blocks of different series are independent, so that training
+            tells nothing about what is assigned to a test pair.
 
     Raises:
         CophyError: There are too few configurations for twins that differ.
     """
-    block, position = divmod(pair, len(blocks[0]))
     halves = [None] if seen is None else [np.flatnonzero(~seen), np.flatnonzero(seen)]
-    turn, half_index = divmod(block, len(halves))
+    index, half_index = divmod(pair, len(halves))
+    turn, position = divmod(index, len(blocks[0]))
     half = halves[half_index]
     count = num_configurations if half is None else len(half)
     if count < 2:
@@ -72,12 +75,12 @@ def assign(
             "scenario.confounders leave too few configurations for twins: give some confounder more values"
         )
     if count > MAX_ENUMERATED:
-        rng = np.random.default_rng((data_seed, turn, 0xC2))
+        rng = np.random.default_rng((data_seed, series, half_index, turn, 0xC2))
         indices = list(dict.fromkeys(rng.integers(count, size=NUM_SAMPLED).tolist()))
         first, *seconds = indices if half is None else half[indices].tolist()
     else:
         configurations = np.arange(num_configurations) if half is None else half
-        first, *seconds = _enumerate(configurations, turn, data_seed, half_index)
+        first, *seconds = _enumerate(configurations, turn, (data_seed, series, half_index))
     period = math.lcm(
         len(blocks), num_do_operations
     )  # turns after which kinds of block and do-operation coincide again
@@ -89,11 +92,11 @@ def assign(
     )
 
 
-def _enumerate(configurations: np.ndarray, turn: int, data_seed: int, half_index: int) -> list[int]:
+def _enumerate(configurations: np.ndarray, turn: int, seed: tuple[int, ...]) -> list[int]:
     """Return a configuration and all others in the order to try them; in every cycle, each is first once."""
     cycle, rank = divmod(turn, len(configurations))
-    order = np.random.default_rng((data_seed, cycle, half_index, 0xC0)).permutation(configurations)
-    shift = 1 + int(np.random.default_rng((data_seed, cycle, half_index, 0xC1)).integers(len(order) - 1))
+    order = np.random.default_rng((*seed, cycle, 0xC0)).permutation(configurations)
+    shift = 1 + int(np.random.default_rng((*seed, cycle, 0xC1)).integers(len(order) - 1))
     first = order[rank]
     seconds = np.roll(order, -(rank + shift))
     return [int(first), *seconds[seconds != first].tolist()]

@@ -21,9 +21,10 @@ class Collision(SimulatedSearch):
 
     object_size: float  # diameter of spheres and cylinders, and height of cylinders
     floor_friction: float  # the friction of a contact is the product of floor and object
-    static_distance: float  # in A, of the static object from the origin, against the heading of the moving one
+    static_distance: float  # in A, of the static object from the origin, on the side of the moving one
     distance: list[float]  # between the two centres in A: smallest and largest
-    speed: float  # of the moving object at t = 0, towards the static one's centre in A
+    speed: float  # of the moving object at t = 0
+    max_aim_offset: float  # largest distance at which its path in A passes the static one's centre, on either side
     displacement: list[float]  # along x or y: smallest and largest
     min_gap: float  # between the two objects, in A and C
     max_energy_gain: float  # between two states, relative to the initial energy
@@ -39,6 +40,10 @@ class Collision(SimulatedSearch):
     @classmethod
     def cells(cls) -> tuple[str, ...]:
         return tuple(f"{moving.name}_{static.name}".lower() for moving, static in CELLS)
+
+    @classmethod
+    def blocks(cls) -> tuple[tuple[int, ...], ...]:
+        return ((0, 3, 1, 2),)  # two consecutive pairs have all shapes, of moving and of static objects
 
     @classmethod
     def cell_meaning(cls) -> str:
@@ -60,8 +65,8 @@ class Collision(SimulatedSearch):
         return CELLS[cell]
 
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
-        shapes, heading = CELLS[cell], rng.uniform(-np.pi, np.pi)
-        forward = np.array([np.cos(heading), np.sin(heading)])
+        shapes, angle = CELLS[cell], rng.uniform(-np.pi, np.pi)
+        forward = np.array([np.cos(angle), np.sin(angle)])
         target = -self.static_distance * forward
         start = target - rng.uniform(self.distance[0], self.distance[1]) * forward
         moving = self._body(shapes[0], slots[0], start)
@@ -69,13 +74,19 @@ class Collision(SimulatedSearch):
         if static.shape is Shape.CYLINDER and rng.random() < 0.5:
             static = replace(static, quaternion_xyzw=_lying_quaternion(rng.uniform(0, 2 * np.pi)))
         scene = Scene((self.floor(), moving, static), gravity=(0.0, 0.0, self.gravity_z))
-        return scene.with_velocities(self.initial_velocities(scene))
+        return scene.with_velocities(self.sample_velocities(scene, rng))
 
-    def initial_velocities(self, scene: Scene) -> np.ndarray:
-        """Return (object, 2) horizontal velocities, m/s, of the moving and the static object, given their positions in A."""
+    def sample_velocities(self, scene: Scene, rng: np.random.Generator) -> np.ndarray:
+        """Sample (object, 2) initial horizontal velocities, m/s, of the moving and the static object, given A.
+
+        A does not show how far off the static object's centre the moving one is aimed; AB does.
+        """
         moving, static = (np.array(body.position[:2]) for body in scene.objects)
         between = static - moving
-        return np.stack([self.speed * between / np.linalg.norm(between), np.zeros(2)])
+        distance = np.linalg.norm(between)
+        sin = rng.uniform(-self.max_aim_offset, self.max_aim_offset) / distance
+        cos, (x, y) = np.sqrt(1 - sin**2), between / distance
+        return np.stack([self.speed * np.array([cos * x - sin * y, sin * x + cos * y]), np.zeros(2)])
 
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
         moving, static = scene.objects

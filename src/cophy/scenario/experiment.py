@@ -60,7 +60,6 @@ class Experiment:
         configuration: Their index in the scenario's grid.
         cell: Index into the scenario's `cells`.
         background_seed: Seed of the textures of floor and backdrop, shared by A, B, C, D and the twin.
-        pair_simulations: Simulations that the search for the twin pair needed.
     """
 
     scene: Scene
@@ -71,7 +70,6 @@ class Experiment:
     configuration: int
     cell: int
     background_seed: int
-    pair_simulations: int
 
 
 @dataclass(frozen=True)

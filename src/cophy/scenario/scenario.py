@@ -176,28 +176,27 @@ class Scenario(ABC):
         """
 
     def twin_pair(
-        self, num_objects: int, *, data_seed: int, pair: int, simulator: Simulator
+        self, num_objects: int, *, data_seed: int, pair: int, simulator: Simulator, series: int = 0
     ) -> tuple[Experiment, Experiment]:
-        """Generate the twin experiments 2·pair and 2·pair + 1, a pure function of the scenario and the arguments.
+        """Generate both experiments of a twin pair, a pure function of the scenario and the arguments.
 
         Args:
             num_objects: Number of objects in A.
             data_seed: Seed of the dataset.
-            pair: Index of the pair in the dataset.
+            pair: Index of the pair in its series.
             simulator: Simulates the sequences.
+            series: Training (0), validation (1) and test (2) pairs are one series each.
 
         Raises:
             CophyError: The scenario has no experiments with this number of objects, or the search fails.
         """
         if num_objects not in self.num_objects:
             raise CophyError(f"num_objects={num_objects} must be one of {self.num_objects} in scenario={self.name}")
-        assignment = self.assignment(num_objects, data_seed=data_seed, pair=pair)
-        rng = np.random.default_rng((data_seed, num_objects, pair))  # so no scene of K objects is part of one of K + 1
+        assignment = self.assignment(num_objects, data_seed=data_seed, series=series, pair=pair)
+        rng = np.random.default_rng((data_seed, num_objects, series, pair))  # so no scene of K objects is part of one of K + 1
         slots = tuple(int(slot) for slot in rng.permutation(self.num_slots)[:num_objects])
         background_seed = int(rng.integers(2**31))
-        before = simulator.num_simulations
         twins = self.search(assignment, slots, rng, simulator)
-        num_simulations = simulator.num_simulations - before
         first, second = (
             Experiment(
                 scene=self.with_configuration(configuration, twins.scene),
@@ -208,7 +207,6 @@ class Scenario(ABC):
                 configuration=configuration,
                 cell=cell,
                 background_seed=background_seed,
-                pair_simulations=num_simulations,
             )
             for configuration, observed, counterfactual, cell in zip(
                 (assignment.first, twins.second), twins.observed, twins.counterfactual, twins.cells, strict=True
@@ -216,11 +214,12 @@ class Scenario(ABC):
         )
         return first, second
 
-    def assignment(self, num_objects: int, *, data_seed: int, pair: int) -> PairAssignment:
+    def assignment(self, num_objects: int, *, data_seed: int, pair: int, series: int = 0) -> PairAssignment:
         """Return what a twin pair must be, see `assign`."""
         return assign(
             pair,
             data_seed=data_seed,
+            series=series,
             num_configurations=self.confounders.num_configurations(num_objects),
             seen=self.seen_configurations(num_objects, data_seed),
             num_do_operations=len(self.do_operations),

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from cophy.atomic_files import appearing_whole, check_space, without_leftovers
 from cophy.dataset.splits import SPLITS, Split
-from cophy.dataset.states import States
+from cophy.dataset.states import States, sort_by_twins
 from cophy.drawing.files import write_image
 from cophy.drawing.overview import render_sequence
 from cophy.errors import CophyError
@@ -106,7 +106,7 @@ class StudyExperiments:
         """
         self.states, self.split, self.settings, self.directory = states, split, settings, directory
         self.scenario = states.spec.scenario
-        self.arrays = states.load()
+        self.arrays = sort_by_twins(states.load(), states.spec)
         self.scenes = Scenes(self.scenario, self.arrays, settings.resolution)
         test_pairs = self._select(split, "test")
         cells = self.arrays["cell"].reshape(-1, 2)

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from cophy.dataset.states import States
+from cophy.dataset.states import States, sort_by_twins
 from cophy.errors import CophyError, check_name
 from cophy.report.pipeline import Supplement
 from cophy.report.runs import notice
@@ -100,7 +100,7 @@ def _judge(path: Path, study: str, description: str, dataset: Dataset) -> list[S
     states = dataset(scenario, num_objects, size, data_seed, overrides)
     if states.id != data or not states.is_finished():
         raise CophyError(f"its data, {scenario}/{data}, are not there")
-    judged = judge(clicks, Scenes(states.spec.scenario, states.load(), resolution))
+    judged = judge(clicks, Scenes(states.spec.scenario, sort_by_twins(states.load(), states.spec), resolution))
     return [StudyAnswers(scenario, split, states.id, resolution, path.parent, judged, human_rows(judged))]
 
 

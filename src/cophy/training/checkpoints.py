@@ -21,6 +21,7 @@ from lightning.fabric.plugins.io.checkpoint_io import CheckpointIO
 from torch import Tensor, nn
 
 from cophy.atomic_files import write_atomically
+from cophy.dataset.spec import FORMAT_VERSION
 from cophy.errors import CophyError
 
 ORIGIN = "origin"  # the key of a checkpoint for the configuration of its training
@@ -32,8 +33,11 @@ KEYS: dict[str, tuple[type, ...]] = {  # of an origin, with their types
     "trained_on": (list,),
     "seed": (int, NoneType),
     "trainer": (dict,),
+    "source": (dict,),
+    "format": (int,),
 }
-LATER_KEYS: dict[str, Any] = {"seed": None, "trainer": {}}  # that earlier versions did not store
+# that earlier versions did not store
+LATER_KEYS: dict[str, Any] = {"seed": None, "trainer": {}, "source": {"name": "generated"}, "format": 3}
 MAX_CHECKPOINT_BYTES = 4 << 30  # ours: a predictor has a megabyte, the paper's de-renderer some hundred
 MAX_VALUES, MAX_DEPTH = 100_000, 10  # ours: an origin has some 200 values, 4 levels deep
 MAX_SIZE = 1 << 14  # ours: layers as wide as this do not fit into a checkpoint of 4 GiB, and nothing is so deep
@@ -114,8 +118,9 @@ def make_origin(config: Mapping[str, Any], trained_on: list[Any]) -> dict[str, A
         trained_on: Everything that the training batches are a function of, as the datamodule states it.
     """
     trainer = {key: value for key, value in config["trainer"].items() if key not in NOT_STORED}
-    keys = [key for key in KEYS if key not in ("trainer", "trained_on")]
-    return {**{key: config[key] for key in keys}, "trainer": trainer, "trained_on": trained_on}
+    keys = [key for key in KEYS if key not in ("trainer", "trained_on", "format")]
+    values = {key: config[key] for key in keys}
+    return {**values, "trainer": trainer, "trained_on": trained_on, "format": FORMAT_VERSION}
 
 
 def read_file(path: Path) -> bytes:
@@ -181,6 +186,11 @@ def _check_origin(origin: Any, source: Path) -> dict[str, Any]:
                 raise ValueError(f"{group}.{key} is not a name")
     except ValueError as error:
         raise misfit(source, error) from error
+    if origin["source"].get("name") == "generated" and origin["format"] != FORMAT_VERSION:
+        raise CophyError(
+            f"{source} was trained on data of format {origin['format']}, and this version makes format {FORMAT_VERSION}: "
+            "train it again (docs/reference/upgrading.md)"
+        )
     return dict(_with_current_names(origin))
 
 

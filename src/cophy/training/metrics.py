@@ -175,14 +175,14 @@ def twin_of(pair: Int[Tensor, "batch"]) -> Int[Tensor, "batch"]:
     """Return the index of each experiment's twin, which is next to it; its own index without a twin."""
     index = torch.arange(len(pair), device=pair.device)
     follows = torch.zeros_like(pair, dtype=torch.bool)
-    follows[1:] = pair[1:] == pair[:-1]
+    follows[1:] = (pair[1:] == pair[:-1]) & (pair[1:] >= 0)
     precedes = follows.roll(-1)
     return index + precedes.long() - follows.long()
 
 
 def have_twins(pair: Int[Tensor, "batch"]) -> bool:
     """Return whether any experiment has its twin."""
-    return bool((pair[1:] == pair[:-1]).any())
+    return bool(((pair[1:] == pair[:-1]) & (pair[1:] >= 0)).any())
 
 
 def twin_difference(prediction: Prediction, targets: Targets, dims: int) -> TwinDifference:

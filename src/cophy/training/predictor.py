@@ -1,6 +1,7 @@
 """Stage 2: train and test a predictor of D (paper Sec. 4)."""
 
 import math
+from dataclasses import replace
 
 import lightning as L
 import numpy as np
@@ -34,7 +35,7 @@ from cophy.training.optimisation import make_optimizer
 from cophy.training.probe import Probed, collect_estimates, probe, warn_if_constant
 from cophy.training.run import Results
 from cophy.training.settings import Training
-from cophy.types import Batch, Prediction, Targets, map_tensors
+from cophy.types import Batch, Prediction, Targets, map_tensors, take
 
 
 def estimate_dim(network: nn.Module) -> int:
@@ -72,11 +73,11 @@ class PredictionModule(L.LightningModule):
     """Any network from `Inputs` to `Prediction`, under the paper's losses and metrics.
 
     Attributes:
-        tested: After a test, on the CPU: the predictions and their batch.
+        tested: After a test, on the CPU: the predictions, their batch, and (experiment,) their rows in the test split.
         standing: After a validation of towers: `StandingConfusion`; None if the network does not predict stability.
     """
 
-    tested: tuple[Prediction, Batch]
+    tested: tuple[Prediction, Batch, np.ndarray]
     standing: np.ndarray | None = None
     augmentations: Float[Tensor, "augmentation 2 2"]
     missed_position: Float[Tensor, "3"]
@@ -129,9 +130,13 @@ class PredictionModule(L.LightningModule):
         return PredictionFigures(self.scenario, every_n_epochs)
 
     def results(self, data: CounterfactualDataModule) -> Results:
-        """Return all metrics of the test and the predictions."""
-        prediction, batch = self.tested
-        targets = batch.targets
+        """Return all metrics of the test and the predictions, with twins next to each other."""
+        prediction, batch, rows = self.tested
+        experiments = data.test_experiments[rows]
+        pair = data.test_set.pairs(experiments)
+        order = np.argsort(pair, kind="stable")
+        prediction, batch = take(prediction, torch.from_numpy(order)), take(batch, torch.from_numpy(order))
+        targets = batch.targets = replace(batch.targets, pair=torch.from_numpy(pair[order].astype(np.int64)))
         values = evaluate(prediction, targets, self.scenario)
         if prediction.confounder_estimate is not None:
             tested = Probed(prediction.confounder_estimate, targets)
@@ -142,7 +147,7 @@ class PredictionModule(L.LightningModule):
                 assert estimate is not None
                 values |= probe(Probed(estimate, train.targets), tested)
         copies = mse_of_copies(batch, self.scenario, data.mean_position)
-        return Results(values, targets.pair.numpy(), copies, prediction_arrays(prediction, targets))
+        return Results(values, targets.pair.numpy(), copies, prediction_arrays(prediction, targets, experiments[order]))
 
     def forward(self, batch: Batch) -> Prediction:
         """Predict D; only `batch.inputs` reaches the network."""
@@ -195,6 +200,7 @@ class PredictionModule(L.LightningModule):
         self.tested = (
             map_tensors(lambda *parts: torch.cat(parts), *predictions),
             map_tensors(lambda *parts: torch.cat(parts), *batches),
+            np.arange(sum(map(len, batches))),
         )
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
@@ -228,7 +234,7 @@ class PredictionModule(L.LightningModule):
                 self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
 
 
-def prediction_arrays(prediction: Prediction, targets: Targets) -> dict[str, np.ndarray]:
+def prediction_arrays(prediction: Prediction, targets: Targets, experiments: np.ndarray) -> dict[str, np.ndarray]:
     """Return the arrays of predictions.npz, see `cophy.training.run.read_predictions`."""
     tensors = {
         "initial": targets.initial,
@@ -237,9 +243,13 @@ def prediction_arrays(prediction: Prediction, targets: Targets) -> dict[str, np.
         "position": prediction.position,
         "pair": targets.pair,
     }
-    if prediction.draw_variance is not None:
-        tensors["draw_variance"] = prediction.draw_variance
-    return {name: tensor.numpy() for name, tensor in tensors.items()}
+    optional = {
+        "stable_logit": prediction.stable_logit,
+        "estimate": prediction.confounder_estimate,
+        "draw_variance": prediction.draw_variance,
+    }
+    tensors |= {name: tensor for name, tensor in optional.items() if tensor is not None}
+    return {"experiment": experiments} | {name: tensor.numpy() for name, tensor in tensors.items()}
 
 
 def _to_cpu(tensor: Tensor) -> Tensor:

@@ -58,14 +58,10 @@ class TrainedDerenderer:
         counts = origin["num_objects"] or [part.get("num_objects") for part in parts if isinstance(part, dict)]
         if not isinstance(slots, list) or not counts or not all(isinstance(count, int) for count in counts):
             raise misfit(source, ValueError("model.slots or num_objects"))
-        if not origin["trained_on"] or not isinstance(origin["size"].get("num_experiments"), dict):
-            raise misfit(source, ValueError("trained_on or size.num_experiments"))
+        if not origin["trained_on"]:
+            raise misfit(source, ValueError("trained_on"))
         self.slots, self.num_objects = list(map(str, slots)), frozenset(counts)
-        self._training_data = {
-            "num_experiments": origin["size"]["num_experiments"],
-            "data_seed": origin["data_seed"],
-            "trained_on": origin["trained_on"][0],
-        }
+        self._training_data = {"data_seed": origin["data_seed"], "trained_on": origin["trained_on"][0]}
         self._network: Derenderer | None = None
 
     def check(self, sets: Sequence[ExperimentSet]) -> None:
@@ -80,7 +76,7 @@ class TrainedDerenderer:
                 )
             if not experiments.has_same_splits(**self._training_data):
                 raise CophyError(
-                    f"the de-renderer {self.source} was trained at another size or data seed, or with other lists: it may "
+                    f"the de-renderer {self.source} was trained with another data seed, or with other lists: it may "
                     f"have seen the test experiments of {experiments.id} in training"
                 )
 
