@@ -19,7 +19,7 @@ from cophy.config import settings
 from cophy.dataset import generation
 from cophy.dataset.features import confounder_features, to_batch
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import States
+from cophy.dataset.states import States, sort_by_twins
 from cophy.scenario import Scenario, Simulator
 from cophy.schemas import register
 from cophy.types import Batch
@@ -110,15 +110,15 @@ def tiny_spec(name: str, num_objects: int | None = None, **size: Any) -> Dataset
 
 @pytest.fixture(scope="session", params=SCENARIOS)
 def tiny(request: pytest.FixtureRequest, tiny_data: Path) -> tuple[DatasetSpec, dict[str, Any]]:
-    """Each scenario's tiny dataset: its spec and its arrays."""
+    """Each scenario's tiny dataset: its spec and its arrays, twins next to each other."""
     spec = tiny_spec(request.param)
-    return spec, States(spec, tiny_data).load()
+    return spec, sort_by_twins(States(spec, tiny_data).load(), spec)
 
 
 @pytest.fixture(scope="session")
 def tower_batch(tiny_data: Path) -> Batch:
     """All experiments of the tiny blocktower dataset, with true confounders, not standardised."""
     spec = tiny_spec("blocktower")
-    arrays = States(spec, tiny_data).load()
+    arrays = sort_by_twins(States(spec, tiny_data).load(), spec)
     batch = to_batch(arrays, spec.scenario)
     return replace(batch, inputs=replace(batch.inputs, confounders=confounder_features(arrays)))

@@ -19,7 +19,7 @@ from cophy.audit.checks import (
     slots_in_order,
 )
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import States
+from cophy.dataset.states import States, sort_by_twins
 from tests.audit.failing import failing
 from tests.conftest import tiny_spec
 
@@ -28,7 +28,7 @@ Dataset = tuple[DatasetSpec, dict[str, Any]]
 
 def dataset(name: str, tiny_data: Path) -> Dataset:
     spec = tiny_spec(name)
-    return spec, States(spec, tiny_data).load()
+    return spec, sort_by_twins(States(spec, tiny_data).load(), spec)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cophy.dataset.shards import encode
-from cophy.dataset.states import States, stable_frames, visible_axis
+from cophy.dataset.splits import SPLITS
+from cophy.dataset.states import TEST_TWINS, States, sort_by_twins, stable_frames, visible_axis
 from cophy.scenario import Shape
 from tests.dataset.copies import SPEC
 
@@ -24,8 +25,27 @@ def test_a_shard_that_is_read_encodes_to_the_same_bytes(states: States) -> None:
 
 
 def test_shards_are_concatenated_in_order(states: States) -> None:
-    arrays = states.load()
-    assert arrays["twin"].tolist() == np.repeat(np.arange(SPEC.num_experiments // 2), 2).tolist()
+    arrays, order = states.load(), SPEC.order
+    np.testing.assert_array_equal(arrays["split"], order.split)
+    tested = order.split == SPLITS.index("test")
+    np.testing.assert_array_equal(arrays["twin"], np.where(tested, -1, order.pair))
+
+
+def test_only_one_file_says_which_test_experiments_are_twins(states: States) -> None:
+    arrays, order = states.load(), SPEC.order
+    assert (arrays["twin"][arrays["split"] == SPLITS.index("test")] == -1).all()
+    header, *lines = (states.directory / TEST_TWINS).read_text().splitlines()
+    pairs = dict(tuple(map(int, line.split(","))) for line in lines)
+    assert header == "experiment,twin"
+    assert sorted(pairs) == np.flatnonzero(order.split == SPLITS.index("test")).tolist()
+    assert all(order.pair[experiment] == pair for experiment, pair in pairs.items())
+
+
+def test_sorted_by_twins_neighbours_share_a_and_the_first_twin_comes_first(states: States) -> None:
+    arrays = sort_by_twins(states.load(), SPEC)
+    np.testing.assert_array_equal(arrays["twin"][::2], arrays["twin"][1::2])
+    np.testing.assert_array_equal(arrays["states"][::2, 0, 0], arrays["states"][1::2, 0, 0])
+    assert not SPEC.order.second[arrays["experiment"][::2]].any()
 
 
 def test_axes_are_those_that_pictures_show() -> None:

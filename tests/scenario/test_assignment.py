@@ -18,6 +18,7 @@ ONE_BLOCK = {
     "num_do_operations": 3,
     "blocks": ((0, 1, 2, 3),),
 }
+FIRST_OF_BLOCKS = [8 * turn + half for turn in range(288) for half in (0, 1)]  # pairs alternate between the halves
 THREE_BLOCKS = ONE_BLOCK | {"blocks": ((4, 5), (0, 1), (2, 3))}
 
 
@@ -33,8 +34,8 @@ def test_every_configuration_meets_every_cell_of_the_one_block_equally_often() -
 
 
 def test_both_cells_of_a_block_are_met_by_the_same_twins() -> None:
-    for pair in range(0, 200, 2):
-        first, second = assign(pair, **THREE_BLOCKS), assign(pair + 1, **THREE_BLOCKS)
+    for pair in (4 * turn + half for turn in range(50) for half in (0, 1)):
+        first, second = assign(pair, **THREE_BLOCKS), assign(pair + 2, **THREE_BLOCKS)
         assert (first.first, first.seconds, first.do_operation) == (second.first, second.seconds, second.do_operation)
         assert (first.cell, second.cell) in THREE_BLOCKS["blocks"]
 
@@ -49,7 +50,7 @@ def test_kinds_of_block_meet_kinds_of_do_operation_equally_often(num_do_operatio
 
 
 def test_configurations_of_the_second_twin_are_level_too() -> None:
-    seconds = Counter(assign(pair, **ONE_BLOCK).seconds[0] for pair in range(0, 4 * 576, 4))
+    seconds = Counter(assign(pair, **ONE_BLOCK).seconds[0] for pair in FIRST_OF_BLOCKS)
     assert set(seconds.values()) == {1}
 
 
@@ -63,10 +64,10 @@ def test_both_twins_come_from_the_same_half_of_the_configurations() -> None:
 @pytest.mark.parametrize("count", [11_664, 40_000])  # towers of four with three masses; more than are gone through
 def test_halves_hold_among_more_configurations_too(count: int) -> None:
     seen = np.random.default_rng(0).permutation(count) < count // 2
-    for pair in range(0, 80, 4):
+    for pair in range(80):
         assignment = assign(pair, **(ONE_BLOCK | {"seen": seen, "num_configurations": count}))
         assert (seen[list(assignment.seconds)] == seen[assignment.first]).all()
-        assert seen[assignment.first] == pair // 4 % 2
+        assert seen[assignment.first] == pair % 2
 
 
 def test_where_nothing_is_held_out_twins_come_from_all_configurations() -> None:
