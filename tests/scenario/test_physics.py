@@ -84,11 +84,11 @@ def test_energy_never_grows(name: str, simulator: Simulator) -> None:
 
 
 def test_balls_that_gain_energy_are_not_kept(scenario_of: Callable[..., Scenario], simulator: Simulator) -> None:
-    """Without the limit, an impact in one of the observed sequences of pair 48 gains 5 %."""
+    """Without the limit, an impact in one of the observed sequences of pair 50 gains 43 %."""
     gains = []
     for limit in (1.0, 0.01):
         scenario = scenario_of("balls", f"scenario.max_energy_gain={limit}")
-        twins = scenario.twin_pair(4, data_seed=0, pair=48, simulator=simulator)
+        twins = scenario.twin_pair(4, data_seed=0, pair=50, simulator=simulator)
         gains.append(max(largest_energy_gain(twin.scene, twin.observed) for twin in twins))
     assert gains[0] > 0.03
     assert gains[1] <= 0.01

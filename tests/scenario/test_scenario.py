@@ -71,7 +71,8 @@ def test_both_cells_of_a_pair_are_met_as_often(tiny) -> None:
 @pytest.mark.parametrize("name", ["balls", "collision"])
 def test_cells_are_level_where_there_is_one_kind_of_block(name: str, tiny_data: Path) -> None:
     arrays = States(tiny_spec(name), tiny_data).load()
-    assert np.ptp(np.bincount(arrays["cell"])) == 0
+    for split in range(3):  # each starts with a block of its own
+        assert np.ptp(np.bincount(arrays["cell"][arrays["split"] == split], minlength=len(np.unique(arrays["cell"])))) <= 2
 
 
 def test_empty_slots_are_zero(tiny) -> None:
@@ -93,15 +94,23 @@ def test_other_numbers_of_objects_are_other_scenes(simulator: Simulator, scenari
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_an_experiment_is_a_pure_function_of_seed_and_index(name: str, tiny_data: Path) -> None:
-    spec = tiny_spec(name)
+def test_an_experiment_is_a_pure_function_of_seed_split_and_number(name: str, tiny_data: Path) -> None:
+    spec, order = tiny_spec(name), tiny_spec(name).order
     with Simulator() as simulator:
-        later = spec.scenario.twin_pair(spec.num_objects, data_seed=spec.data_seed, pair=1, simulator=simulator)
-        earlier = spec.scenario.twin_pair(spec.num_objects, data_seed=spec.data_seed, pair=0, simulator=simulator)
+        first, second = (
+            spec.scenario.twin_pair(
+                spec.num_objects,
+                data_seed=spec.data_seed,
+                series=int(order.split[place]),
+                pair=int(order.number[place]),
+                simulator=simulator,
+            )[int(order.second[place])]
+            for place in (7, 0)
+        )
     stored = States(spec, tiny_data).load()
-    arrays = to_arrays([*earlier, *later], range(4), spec)
+    arrays = to_arrays([first, second], [7, 0], spec)
     for array, expected in ((arrays[key], stored[key]) for key in stored):
-        np.testing.assert_array_equal(array[:4], expected[:4])
+        np.testing.assert_array_equal(array, expected[[7, 0]])
 
 
 @pytest.mark.parametrize(("name", "num_objects"), [("blocktower", 4), ("balls", 2), ("balls", 6)])
