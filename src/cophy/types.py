@@ -21,6 +21,8 @@ CONFOUNDERS = (
     *("cylinder", "axis_x", "axis_y", "axis_z"),
 )
 
+NUM_WITHOUT_POSE = CONFOUNDERS.index("cylinder")  # the features before this one are those that images do not show
+
 # indices of the x and y components of the vectors among them
 HORIZONTAL = [[CONFOUNDERS.index(f"{vector}_{axis}") for axis in "xy"] for vector in ("gravity", "velocity", "axis")]
 
@@ -78,8 +80,8 @@ class Inputs:
         return self.observed.shape[1] - 1
 
 
-def true_confounders(inputs: Inputs) -> Float[Tensor, "batch slots features"]:
-    """Return the true confounders, for a model that asks for them.
+def true_confounders(inputs: Inputs, count: int = len(CONFOUNDERS)) -> Float[Tensor, "batch slots {count}"]:
+    """Return the first `count` features of the true confounders, for a model that asks for them.
 
     Raises:
         ValueError: They are not among the inputs.
@@ -88,7 +90,7 @@ def true_confounders(inputs: Inputs) -> Float[Tensor, "batch slots features"]:
         raise ValueError(
             "the true confounders are not among the inputs: a model needs confounders: ground_truth for them"
         )
-    return inputs.confounders
+    return inputs.confounders[..., :count]
 
 
 @dataclass

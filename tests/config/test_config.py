@@ -21,6 +21,7 @@ ABLATIONS = {
     "single_step": {"model.decoding", "model.num_frames"},
     "feedforward": {"model.confounders"},
     "gt_confounders": {"model.confounders"},
+    "gt_confounders_without_pose": {"model.confounders"},
     "supervised_confounders": {"training.confounder_weight"},
 }
 

@@ -22,8 +22,8 @@ Statistics = tuple[Tensor, Tensor]  # mean and standard deviation of each featur
 
 def declared_inputs(model: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the optional fields of `Inputs` that the keys of a model declare (conf/model/, or a checkpoint)."""
-    values = {"confounders": "ground_truth", "object_type": True, "pose": True}
-    return tuple(name for name, value in values.items() if model.get(name) == value)
+    values = {"confounders": ("ground_truth", "without_pose"), "object_type": (True,), "pose": (True,)}
+    return tuple(name for name, choices in values.items() if model.get(name) in choices)
 
 
 def not_derendered(declared: Collection[str]) -> str:

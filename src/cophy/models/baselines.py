@@ -16,7 +16,7 @@ from cophy.models.layers import (
     radius_graph,
     unpack,
 )
-from cophy.types import CONFOUNDERS, Inputs, Prediction, true_confounders
+from cophy.types import CONFOUNDERS, NUM_WITHOUT_POSE, Inputs, Prediction, true_confounders
 
 
 class CopyC(nn.Module):
@@ -40,9 +40,15 @@ class CopyB(nn.Module):
 
 
 class ConfounderInput(Enum):
-    """Confounders that an interaction network can see: the true ones."""
+    """True confounders that an interaction network can see: all of `CONFOUNDERS`, or only those that no image shows."""
 
     ground_truth = "ground_truth"
+    without_pose = "without_pose"
+
+    @property
+    def width(self) -> int:
+        """Number of features."""
+        return len(CONFOUNDERS) if self is ConfounderInput.ground_truth else NUM_WITHOUT_POSE
 
 
 class InteractionNetwork(nn.Module):
@@ -75,7 +81,8 @@ class InteractionNetwork(nn.Module):
             edge_layers: Linear layers of f, at least 2.
             node_layers: Linear layers of g.
             radius: Metres within which objects act on each other; None for all (Interaction Network).
-            confounders: `ground_truth` makes the true confounders part of the state ("IN sup."); None does not.
+            confounders: `ground_truth` makes the true confounders part of the state ("IN sup."), `without_pose` all but
+                shape and orientation; None none.
             object_type: Whether the model sees the type of each object.
             pose: Whether the model sees the orientation of each object at t = 0.
 
@@ -86,18 +93,20 @@ class InteractionNetwork(nn.Module):
         check_at_least(1, hidden_dim=hidden_dim, node_layers=node_layers)
         check_at_least(2, edge_layers=edge_layers)
         check_positive(radius=radius)
+        self.radius, self.num_confounders = radius, 0
         if confounders is not None:
-            parse_option(ConfounderInput, "confounders", confounders)
-        self.radius, self.sees_confounders = radius, confounders is not None
+            self.num_confounders = parse_option(ConfounderInput, "confounders", confounders).width
         self.appearance = Appearance(object_type, pose)
-        state_dim = 6 + len(CONFOUNDERS) * self.sees_confounders + self.appearance.width
+        state_dim = 6 + self.num_confounders + self.appearance.width
         self.f = PairwiseMLP(state_dim, hidden_dim, layers=edge_layers)
         self.g = mlp(state_dim + hidden_dim, hidden_dim, node_layers, output_dim=3)
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Roll D out from C, one step per frame of AB after the first."""
         packed, slots = pack(inputs)
-        confounders = true_confounders(packed) if self.sees_confounders else packed.initial[..., :0]
+        confounders = packed.initial[..., :0]
+        if self.num_confounders:
+            confounders = true_confounders(packed, self.num_confounders)
         constant = self.appearance.concatenate_to(confounders, packed)
         position, positions = packed.initial, []
         displacement = torch.zeros_like(position)

@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from cophy.errors import CophyError
+from cophy.models.baselines import ConfounderInput
 from cophy.models.layers import (
     Appearance,
     GraphConvolution,
@@ -33,14 +34,15 @@ from cophy.models.layers import (
     parse_option,
     unpack,
 )
-from cophy.types import CONFOUNDERS, Inputs, Prediction, true_confounders
+from cophy.types import Inputs, Prediction, true_confounders
 
 
 class ConfounderSource(Enum):
-    """Source of the confounders: estimated from AB, ground truth, or none (a feedforward model)."""
+    """Source of the confounders: estimated from AB, ground truth with or without pose, or none (a feedforward model)."""
 
     estimated = "estimated"
     ground_truth = "ground_truth"
+    without_pose = "without_pose"
     none = "none"
 
 
@@ -290,8 +292,10 @@ class CoPhyNet(nn.Module):
             convolution = make_convolution(position_dim)
             self.estimator = ConfounderEstimator(convolution, hidden_dim=hidden_dim, gru_layers=gru_layers)
             self.estimate_dim = hidden_dim
-        true_dim = len(CONFOUNDERS) if self.source is ConfounderSource.ground_truth else 0
-        node_dim = position_dim + self.estimate_dim + true_dim
+        self.num_confounders = 0
+        if self.source in (ConfounderSource.ground_truth, ConfounderSource.without_pose):
+            self.num_confounders = ConfounderInput(self.source.value).width
+        node_dim = position_dim + self.estimate_dim + self.num_confounders
         self.decoder: nn.Module
         if decoding_option is Decoding.single_step:
             if num_frames is None:
@@ -332,6 +336,6 @@ class CoPhyNet(nn.Module):
         if self.source is ConfounderSource.estimated:
             observed = self.appearance.concatenate_to(inputs.observed, inputs)
             return self.estimator(observed, inputs.observed_presence)
-        if self.source is ConfounderSource.ground_truth:
-            return true_confounders(inputs)
+        if self.num_confounders:
+            return true_confounders(inputs, self.num_confounders)
         return inputs.initial[..., :0]  # width 0

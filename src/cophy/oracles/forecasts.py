@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +17,17 @@ from cophy.dataset.states import States, make_twins, stable_frames
 from cophy.errors import CophyError
 from cophy.oracles.posterior import Hypotheses, posterior, resample
 from cophy.scenario import Scenario, Trajectory
+from cophy.scenario.physics import Scene
 from cophy.scenario.simulator import CachingSimulator
 
-VERSION = 2  # raise it when other hypotheses are tried
+VERSION = 3  # raise it when other hypotheses are tried
 USUAL_STABLE_SPEED = 0.1  # m/s, of every scenario (conf/scenario); forecasts at another one have their own directory
 STORED_PRECISION_M = 1e-4  # positions are stored with less error
 
 
-ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual")  # docs/benchmark/metrics.md
+# docs/benchmark/metrics.md; the last two know everything and show how far D depends on the solver and on rounding
+ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual", "double_rate", "jitter")
+JITTER_M = 1e-4  # ours: largest error of each horizontal coordinate of C; positions are stored to a micrometre
 
 
 @dataclass(frozen=True)
@@ -135,6 +138,7 @@ class OracleForecasts(ShardSet):
             rng = np.random.default_rng((kind, index))
             return resample(scenario, scene, do_operation, draws=settings.draws, rng=rng, simulator=simulator, **known)
 
+        finer = replace(scenario, solver=replace(scenario.solver, step_rate_hz=2 * scenario.solver.step_rate_hz))
         alike = resampled(0, pair)
         at_rest = scene == scene.at_rest()  # then the initial velocity is known anyway
         moving = alike if at_rest else resampled(1, pair, velocity_known=True)
@@ -155,6 +159,10 @@ class OracleForecasts(ShardSet):
                     noise=settings.noise,
                     rng=rng,
                     simulator=simulator,
+                ),
+                "double_rate": Hypotheses.certain(finer.simulate(simulator, do_operation.apply(twin.scene))),
+                "jitter": Hypotheses.certain(
+                    scenario.simulate(simulator, _jittered(do_operation.apply(twin.scene), np.random.default_rng((4, index))))
                 ),
             }
 
@@ -183,6 +191,14 @@ class OracleForecasts(ShardSet):
             self.spec.experiments_of_shard(shard),
         )
         return indices[(indices >= within[0]) & (indices <= within[-1])] - within[0]
+
+
+def _jittered(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Return the scene with every object off by up to JITTER_M in x and y."""
+    for body in scene.objects:
+        x, y = (np.array(body.position[:2]) + rng.uniform(-JITTER_M, JITTER_M, 2)).tolist()
+        scene = scene.with_object(replace(body, position=(x, y, body.position[2])))
+    return scene
 
 
 def forecast_of(hypotheses: Hypotheses, scenario: Scenario) -> dict[str, np.ndarray]:

@@ -37,6 +37,11 @@ class Hypotheses:
     draw: np.ndarray | None = None
 
     @classmethod
+    def certain(cls, counterfactual: Trajectory) -> "Hypotheses":
+        """Return the only possibility."""
+        return cls([counterfactual], np.ones(1))
+
+    @classmethod
     def drawn(cls, draws: list[list[Trajectory]]) -> "Hypotheses":
         """Return the hypotheses of independent draws, which have equally many trajectories each."""
         draw = np.repeat(np.arange(len(draws)), [len(each) for each in draws])
@@ -150,7 +155,7 @@ def resample(
     if isinstance(scenario, Blocktower):  # towers start at rest, so the configuration is all that is drawn
         if configuration is not None:
             known = scenario.simulate(simulator, do_operation.apply(scenario.with_configuration(configuration, scene)))
-            return Hypotheses([known], np.ones(1))
+            return Hypotheses.certain(known)
         prior = configuration_prior(scenario, scene, do_operation)
         sample = np.sort(rng.choice(len(prior), draws, p=prior)).tolist()
         scenes = {c: do_operation.apply(scenario.with_configuration(c, scene)) for c in sample}
