@@ -8,7 +8,7 @@ import pytest
 from sklearn.ensemble import HistGradientBoostingRegressor
 
 from cophy.audit import bias
-from cophy.audit.bias import ClassifierCheck, check_bias, check_classifier, initial_scene
+from cophy.audit.bias import ClassifierCheck, check_bias, check_classifier, check_stored_order, initial_scene
 from cophy.scenario import Shape
 from tests.audit.failing import failing
 from tests.conftest import SCENARIOS, tiny_spec
@@ -110,3 +110,23 @@ def test_an_observed_outcome_that_repeats_is_a_fault_of_towers_only(name: str) -
 def test_too_few_pairs_are_skipped() -> None:
     (check,) = check_bias(select(synthetic_pairs("balls"), range(8)), tiny_spec("balls"))
     assert check.result == "skipped: 4 twin pairs are fewer than 5"
+
+
+@pytest.mark.parametrize("name", ["blocktower", "collision"])
+def test_an_order_that_tells_outcomes_or_confounders_is_found(name: str) -> None:
+    arrays = synthetic_pairs(name)
+    count, rng = len(arrays["twin"]), np.random.default_rng(1)
+    shuffled = rng.permutation(count)
+    pair = rng.permutation(PAIRS)[arrays["twin"]]
+    arrays |= {"gravity": np.zeros((count, 3)), "split": np.zeros(count), "background_seed": rng.permutation(PAIRS)[pair]}
+    arrays |= {key: np.zeros(arrays["shape"].shape) for key in ("friction", "restitution")}
+    arrays["mass"] = np.where(pair[:, None] // 10 % 2, 1.0, 2.0) * (arrays["object_index"] >= 0)
+    in_random_order = arrays | {"experiment": shuffled, "twin": rng.permutation(PAIRS)[arrays["twin"]]}
+    (check,) = check_stored_order(in_random_order, tiny_spec(name))
+    assert check.passed, check.result
+    as_made = {"experiment": np.arange(count)}  # the second twin moves
+    by_blocks = {"twin": pair}  # ten pairs in a row have the same masses
+    for fault, value in ((as_made, "AB"), (by_blocks, "mass")):
+        (check,) = check_stored_order(in_random_order | fault, tiny_spec(name))
+        assert not check.passed
+        assert value in check.result

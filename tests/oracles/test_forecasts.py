@@ -79,8 +79,8 @@ def test_data_that_other_code_generated_are_refused(forecasts, tmp_path: Path, m
     scenario = type(each.spec.scenario)
     original = scenario.twin_pair
     monkeypatch.setattr(
-        scenario, "twin_pair", lambda self, n, *, data_seed, pair, simulator: original(
-            self, n, data_seed=data_seed + 1, pair=pair, simulator=simulator
+        scenario, "twin_pair", lambda self, n, *, data_seed, pair, simulator, series: original(
+            self, n, data_seed=data_seed + 1, pair=pair, simulator=simulator, series=series
         )
     )  # fmt: skip
     shard = next(shard for shard in range(each.spec.num_shards) if len(each.read(shard)["experiment"]))
