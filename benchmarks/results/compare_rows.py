@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from cophy.bootstrap import interval
 from cophy.report.predictions import stored_scores
 from cophy.report.runs import read_line
 from cophy.scoring import average, compare, have_same_experiments
@@ -58,7 +59,7 @@ def compared(ours: pd.DataFrame, other: pd.DataFrame) -> dict[str, object]:
         return {}
     one, two = (average(part) for part in scores)
     difference = compare(one, two)
-    low, high = difference.intervals()["mse"]
+    low, high = interval(difference.mse, difference.pair)
     return {
         "epochs": ", ".join(sorted({str(epochs) for rows in (ours, other) for epochs in rows["epochs"]}, key=int)),
         "seeds": ", ".join(map(str, seeds)),

@@ -170,18 +170,19 @@ class PredictionModule(L.LightningModule):
             return
         inputs = move_to(take(inputs, slice(self.training_settings.batch_size)), weights.device, weights.dtype)
         with torch.no_grad():
-            together = network(inputs).position
-            for row in range(min(len(inputs), NUM_PREDICTED_ALONE)):
-                own = take(inputs, slice(row, row + 1))
-                present = own.presence[0]
-                alone, in_batch = network(own).position[0, :, present], together[row, :, present]
-                difference = (alone - in_batch).norm(dim=-1).max()
-                movement = (in_batch - own.initial[0, present]).norm(dim=-1).max()
-                if difference > max(ALLOWED_DIFFERENCE_M, ALLOWED_RELATIVE_DIFFERENCE * float(movement)):
-                    raise CophyError(
-                        f"{type(network).__name__}: its prediction of an experiment depends on the other experiments of "
-                        f"the batch, by {float(difference):.3g} m: use no statistics of the batch in evaluation"
-                    )
+            together = network(inputs).position[:NUM_PREDICTED_ALONE]
+            rows = range(len(together))
+            alone = torch.cat([network(take(inputs, slice(row, row + 1))).position for row in rows])
+        present = inputs.presence[: len(together), None]
+        difference, movement = (
+            torch.where(present, vector.norm(dim=-1), 0.0).amax(dim=(1, 2))
+            for vector in (alone - together, together - inputs.initial[: len(together), None])
+        )
+        if (difference > (ALLOWED_RELATIVE_DIFFERENCE * movement).clamp(min=ALLOWED_DIFFERENCE_M)).any():
+            raise CophyError(
+                f"{type(network).__name__}: its prediction of an experiment depends on the other experiments of the batch, "
+                f"by {float(difference.max()):.3g} m: use no statistics of the batch in evaluation"
+            )
 
     def forward(self, batch: Batch) -> Prediction:
         """Predict D; only `batch.inputs` reaches the network."""
