@@ -2,12 +2,12 @@
 
     data = cophy.load("balls", size="small", split="train")  # a torch Dataset
     predictor = cophy.load_predictor("outputs/.../checkpoints/best.ckpt")  # D from AB and C
-    scores = cophy.score(predictions, truth)  # of cophy.scoring: NumPy arrays, no torch
+    scores = cophy.score(predictions, truth)  # NumPy arrays, see cophy.scoring
 
 Subpackages, each importing only those before it: scenario (what is simulated), dataset (shards, splits, batches), models,
 drawing (images and figures), training (training, testing, metrics) and report (tables and figures next to the paper's).
 Optional ones: oracles, released (datasets of others), audit and study (human participants). At the edge: schemas, config, cli
-and commands.
+and commands. The single file scoring computes all scores of predictions, from NumPy arrays.
 """
 
 from importlib import import_module
