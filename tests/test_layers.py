@@ -14,6 +14,7 @@ BASE = {
     "errors",
     "atomic_files",
     "bootstrap",
+    "scoring",
     "types",
     "untrusted_files",
     "workers",

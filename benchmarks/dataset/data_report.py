@@ -20,7 +20,8 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.models.baselines import CopyB, CopyC
 from cophy.scenario import Simulator
 from cophy.schemas import register
-from cophy.training.metrics import evaluate
+from cophy.scoring import Predictions, Truth, score
+from cophy.training.predictor import prediction_arrays
 
 Arrays = dict[str, np.ndarray]
 Lines = Iterator[tuple[str, str]]  # name of a number, and the number
@@ -59,15 +60,16 @@ def lines(arrays: Arrays, spec: DatasetSpec) -> Lines:
 
 def copy_baselines(arrays: Arrays, spec: DatasetSpec) -> Lines:
     """Yield MSE and twin difference explained, with 95 % intervals over twin pairs."""
-    batch, scenario = to_batch(arrays, spec.scenario), spec.scenario
+    batch, dims = to_batch(arrays, spec.scenario), spec.scenario.task.metric_dims
     for name, model in (("copy C", CopyC()), ("copy B", CopyB())):
-        measured = evaluate(model(batch.inputs), batch.targets, scenario)
+        stored = prediction_arrays(model(batch.inputs), batch.targets, np.arange(len(batch)))
+        scores = score(Predictions.from_arrays(stored), Truth.from_arrays(stored, metric_dims=dims))
         for measure, title, digits in (
             ("mse", "MSE", 3),
             ("twin_difference_explained", "twin difference explained", 2),
         ):
-            values = measured[measure]
-            low, high = interval(values, batch.targets.pair.numpy())
+            values = scores.values[measure]
+            low, high = interval(values, scores.pair)
             yield f"{name}, {title}", f"{mean(values):.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 

@@ -10,12 +10,12 @@ import sys
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
-from cophy.bootstrap import interval, mean
-from cophy.report.predictions import stored_errors
+from cophy.bootstrap import interval
+from cophy.report.predictions import stored_scores
 from cophy.report.runs import read_line
+from cophy.scoring import average, compare, have_same_experiments
 from cophy.training.run import METRICS
 
 TESTED = ["scenario", "split", "positions", "size"]  # what both runs share
@@ -52,19 +52,20 @@ def run_of(path: Path) -> dict[str, object]:
 def compared(ours: pd.DataFrame, other: pd.DataFrame) -> dict[str, object]:
     """The difference of two rows of a table; nothing where no seed was run with both."""
     seeds = sorted(set(ours["seed"]) & set(other["seed"]))
-    errors = [
-        [stored_errors(run) for run in rows[rows["seed"].isin(seeds)].to_dict("records")] for rows in (ours, other)
+    scores = [
+        [stored_scores(run) for run in rows[rows["seed"].isin(seeds)].to_dict("records")] for rows in (ours, other)
     ]
-    if not seeds or len({(each.pair.tobytes(), each.truth.tobytes()) for part in errors for each in part}) > 1:
+    if not seeds or not have_same_experiments([each for part in scores for each in part]):
         return {}
-    one, two = (np.mean([each.mse for each in part], axis=0) for part in errors)
-    low, high = interval(one - two, errors[0][0].pair)
+    one, two = (average(part) for part in scores)
+    difference = compare(one, two)
+    low, high = interval(difference.mse, difference.pair)
     return {
         "epochs": ", ".join(sorted({str(epochs) for rows in (ours, other) for epochs in rows["epochs"]}, key=int)),
         "seeds": ", ".join(map(str, seeds)),
-        "MSE": mean(one),
-        "other's": mean(two),
-        "difference": f"{mean(one - two):.3f} [{low:.3f}, {high:.3f}]",
+        "MSE": one.mse.mean(),
+        "other's": two.mse.mean(),
+        "difference": f"{difference.mse.mean():.3f} [{low:.3f}, {high:.3f}]",
     }
 
 

@@ -17,7 +17,7 @@ from compare_rows import run_of
 from scipy.stats import bootstrap
 
 from cophy.bootstrap import NUM_RESAMPLES
-from cophy.report.predictions import stored_errors
+from cophy.report.predictions import stored_scores
 from cophy.training.run import METRICS
 
 ALIKE = ["scenario", "positions", "size"]  # in both
@@ -61,9 +61,9 @@ def compared(runs: pd.DataFrame, splits: list[str], others: list[str]) -> dict[s
 def errors(runs: pd.DataFrame, splits: list[str]) -> pd.Series:
     """The MSE of every twin pair of some splits, mean over twins and seeds; its index are test dataset and number of the pair."""
     found = [
-        pd.Series(errors.mse).groupby([pd.Index([run["dataset_ids"][-1]] * len(errors.pair)), errors.pair]).mean()
+        pd.Series(scores.mse).groupby([pd.Index([run["dataset_ids"][-1]] * len(scores.pair)), scores.pair]).mean()
         for run in runs[runs["split"].isin(splits)].to_dict("records")
-        for errors in [stored_errors(run)]
+        for scores in [stored_scores(run)]
     ]
     return pd.concat(found).groupby(level=[0, 1]).mean()
 

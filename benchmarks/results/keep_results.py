@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from cophy.atomic_files import write_atomically
-from cophy.report.predictions import stored_errors
+from cophy.report.predictions import stored_scores
 from cophy.report.runs import read_line
 from cophy.report.tables import share_of_gain
 from cophy.training.run import METRICS
@@ -81,8 +81,8 @@ def shares(tested: pd.DataFrame) -> list[list[float]]:
     plain = tested[
         [variant in ("", f"+size-{size}") for variant, size in zip(tested["variant"], tested["size"], strict=True)]
     ]
-    ends = [[stored_errors(run) for run in plain[plain["model"] == model].to_dict("records")] for model in ENDS]
-    return [list(share_of_gain([stored_errors(run)], *ends)) for run in tested.to_dict("records")]
+    ends = [[stored_scores(run) for run in plain[plain["model"] == model].to_dict("records")] for model in ENDS]
+    return [list(share_of_gain([stored_scores(run)], *ends)) for run in tested.to_dict("records")]
 
 
 def as_text(value: object) -> str:

@@ -27,11 +27,11 @@ from cophy.dataset.splits import SPLITS, split_of_experiments
 from cophy.drawing.overview import NO_BREAK, Descriptions
 from cophy.drawing.plots import error_over_time
 from cophy.drawing.sheets import REACH, CloseUp, resize, side_by_side, window_of_motion
-from cophy.report.predictions import errors_of_predictions
 from cophy.scenario import Camera
 from cophy.scenario.camera import Window
 from cophy.scenario.rendering import Backend, Renderer, RenderSettings
 from cophy.schemas import register
+from cophy.scoring import mean_squared_error
 
 HERE = Path(__file__).parent
 CHECKPOINTS = HERE.parents[1] / "checkpoints"
@@ -72,9 +72,7 @@ class Held:
 
     def mse(self, predicted: np.ndarray) -> np.ndarray:
         """Return the MSE of each experiment, m²."""
-        pair = np.arange(len(predicted)) // 2
-        arrays = {"position": predicted, "target": self.true, "presence": self.presence, "pair": pair}
-        return errors_of_predictions(arrays, self.dims).mse
+        return mean_squared_error(predicted, self.true, self.presence, self.dims)
 
 
 def held_out(data: ExperimentDataset) -> Held:

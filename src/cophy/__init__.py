@@ -2,11 +2,12 @@
 
     data = cophy.load("balls", size="small", split="train")  # a torch Dataset
     predictor = cophy.load_predictor("outputs/.../checkpoints/best.ckpt")  # D from AB and C
+    scores = cophy.score(predictions, truth)  # NumPy arrays, see cophy.scoring
 
 Subpackages, each importing only those before it: scenario (what is simulated), dataset (shards, splits, batches), models,
 drawing (images and figures), training (training, testing, metrics) and report (tables and figures next to the paper's).
 Optional ones: oracles, released (datasets of others), audit and study (human participants). At the edge: schemas, config, cli
-and commands.
+and commands. The single file scoring computes all scores of predictions, from NumPy arrays.
 """
 
 from importlib import import_module
@@ -16,10 +17,16 @@ if TYPE_CHECKING:
     from cophy.errors import CophyError as CophyError
     from cophy.loading import load as load
     from cophy.loading import load_predictor as load_predictor
+    from cophy.scoring import score as score
 
 __version__ = "0.1.0"
-__all__ = ["CophyError", "load", "load_predictor"]
-_MODULES = {"CophyError": "cophy.errors", "load": "cophy.loading", "load_predictor": "cophy.loading"}
+__all__ = ["CophyError", "load", "load_predictor", "score"]
+_MODULES = {
+    "CophyError": "cophy.errors",
+    "load": "cophy.loading",
+    "load_predictor": "cophy.loading",
+    "score": "cophy.scoring",
+}
 
 
 def __getattr__(name: str) -> Any:

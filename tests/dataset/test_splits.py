@@ -38,7 +38,9 @@ def test_the_order_is_random() -> None:
 
 
 def test_splits_of_a_small_dataset_are_parts_of_those_of_a_large_one() -> None:
-    small, large = ({*zip(each.split.tolist(), each.number.tolist(), strict=True)} for each in map(order_of, (200, 2000)))
+    small, large = (
+        {*zip(each.split.tolist(), each.number.tolist(), strict=True)} for each in map(order_of, (200, 2000))
+    )
     assert small < large
 
 

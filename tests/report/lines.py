@@ -3,6 +3,10 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from cophy.scoring import Scores
+
 
 def run(model: str, ablation: str = "full", seed: int = 0, **changes: Any) -> dict[str, Any]:
     line = {
@@ -16,3 +20,8 @@ def run(model: str, ablation: str = "full", seed: int = 0, **changes: Any) -> di
 
 def measured(metric: str, value: float, *names: str, **changes: Any) -> dict[str, Any]:
     return run(*names, **changes) | {metric: value, f"{metric}_low": value - 0.01, f"{metric}_high": value + 0.02}
+
+
+def scores_of_mse(mse: np.ndarray, pair: np.ndarray) -> Scores:
+    """The first experiments of a dataset with this MSE each."""
+    return Scores(np.arange(len(mse)), pair, pair.astype(float), {"mse": mse})

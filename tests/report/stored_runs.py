@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from cophy.training.predictor import prediction_arrays
@@ -30,4 +31,4 @@ def leave(directory: Path, metrics: str | bytes, config: str = CONFIG, error: fl
         position, torch.ones(4, 5, 3, dtype=torch.bool), present, position[:, 0], present,
         torch.zeros(4, 3, 2, dtype=torch.long), torch.arange(4) // 2, torch.zeros(4, dtype=torch.long),
     )  # fmt: skip
-    write_predictions(directory, prediction_arrays(Prediction(position + error), targets))
+    write_predictions(directory, prediction_arrays(Prediction(position + error), targets, np.arange(4)))

@@ -9,27 +9,26 @@ import pandas as pd
 import pytest
 import torch
 
-from cophy.bootstrap import mean
 from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States
 from cophy.report.difficulty import EVERYTHING, TITLES, draw, groups, mse_by_difficulty, page
-from cophy.training.metrics import evaluate
 from cophy.training.predictor import prediction_arrays
 from cophy.training.run import write_predictions
 from cophy.types import Prediction
 from tests.conftest import tiny_spec
 from tests.report.lines import run
+from tests.training.scored import scored
 
 SPEC = tiny_spec("blocktower")
 
 
 @pytest.fixture
 def arrays(tiny_data: Path) -> dict[str, np.ndarray]:
-    """The tiny towers, as if all were tested on."""
+    """The tiny towers, as if all were tested on and all twins known."""
     arrays = States(SPEC, tiny_data).load()
-    return arrays | {"split": np.full_like(arrays["split"], SPLITS.index("test"))}
+    return arrays | {"split": np.full_like(arrays["split"], SPLITS.index("test")), "twin": SPEC.order.pair}
 
 
 def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, **changes: Any) -> dict[str, Any]:
@@ -39,8 +38,8 @@ def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, 
     prediction = Prediction(targets.position + noise)
     directory = directory / f"seed{seed}"
     directory.mkdir()
-    write_predictions(directory, prediction_arrays(prediction, targets))
-    measured = {name: mean(values) for name, values in evaluate(prediction, targets, SPEC.scenario).items()}
+    write_predictions(directory, prediction_arrays(prediction, targets, np.arange(len(targets))))
+    measured = scored(prediction, targets, SPEC.scenario).means()
     line = run("cophynet", seed=seed, size="tiny", directory=directory, dataset_ids=[SPEC.id], metric_dims=3)
     return line | measured | changes
 

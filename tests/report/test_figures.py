@@ -13,9 +13,9 @@ from cophy.drawing.plots import write_figure
 from cophy.report import figures
 from cophy.report.figures import draw_bars, draw_predictions
 from cophy.report.paper_tables import paper_tables
-from cophy.report.predictions import Errors, StoredPredictions
+from cophy.report.predictions import StoredPredictions
 from cophy.report.tables import fill
-from tests.report.lines import measured
+from tests.report.lines import measured, scores_of_mse
 
 TABLE, COLLISION = (next(table for table in paper_tables() if table.id == name) for name in ("blocktower", "collision"))
 
@@ -65,7 +65,7 @@ def test_curves_are_of_the_largest_size_and_the_longest_training(monkeypatch: py
         examples = {name: np.zeros((2, 3, 4, 3)) for name in ("position", "target")}
         examples |= {"initial": np.zeros((2, 4, 3)), "presence": np.ones((2, 4), dtype=bool), "pair": np.arange(2)}
         curve = np.full(3, errors[directory])
-        return StoredPredictions(Errors(np.zeros(2), np.arange(2), np.zeros(2)), curve, examples)
+        return StoredPredictions(scores_of_mse(np.zeros(2), np.arange(2)), curve, examples)
 
     curves: dict[str, np.ndarray] = {}
     monkeypatch.setattr(figures, "draw_error_over_time", lambda by_row, **options: curves.update(by_row) or Figure())

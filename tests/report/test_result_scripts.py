@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cophy.report.predictions import Errors
+from cophy.scoring import Scores
+from tests.report.lines import scores_of_mse
 from tests.report.stored_runs import PLACE, content, leave
 
 SCRIPTS = Path(__file__).parents[2] / "benchmarks" / "results"
@@ -67,11 +68,11 @@ def test_oracles_with_settings_of_their_own_give_no_share(script: ModuleType, mo
     runs = pd.DataFrame([{"model": model, "variant": "+size-paper", "size": "paper"} for model in mse])
     own = runs.iloc[1:].assign(variant="+noise-1+size-paper")
 
-    def errors(run: dict[str, str]) -> Errors:
+    def scores(run: dict[str, str]) -> Scores:
         value = mse[run["model"]] + 7.0 * ("noise" in run["variant"])
-        return Errors(np.full(40, value), pair, pair)
+        return scores_of_mse(np.full(40, value), pair)
 
-    monkeypatch.setattr(script, "stored_errors", errors)
+    monkeypatch.setattr(script, "stored_scores", scores)
     assert script.shares(pd.concat([runs, own], ignore_index=True))[0] == pytest.approx([0.75] * 3)
     assert np.isnan(script.shares(pd.concat([runs[:1], own], ignore_index=True))[0][0])
 

@@ -1,5 +1,6 @@
 """The paper's tables, filled from runs whose numbers are known; errors and shares of stored predictions."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,14 +9,13 @@ import pytest
 import torch
 
 from cophy.report.paper_tables import paper_tables
-from cophy.report.predictions import Errors, stored_errors
+from cophy.report.predictions import stored_scores
 from cophy.report.render import caption, latex, markdown, share_cells, table_cells
 from cophy.report.tables import FilledTable, fill, share_of_gain
-from cophy.training.metrics import mean_squared_error
 from cophy.training.predictor import prediction_arrays
 from cophy.training.run import write_predictions
 from cophy.types import Batch, Prediction
-from tests.report.lines import measured, run
+from tests.report.lines import measured, run, scores_of_mse
 
 TABLES = {table.id: table for table in paper_tables()}
 
@@ -85,11 +85,11 @@ def test_the_interval_of_a_share_is_paired_over_twin_pairs() -> None:
     hard = rng.exponential(1.0, 200)[pair]
     models = {"oracle_feedforward": 0.3, "oracle_counterfactual": 0.1, "cophynet": 0.15}
 
-    errors = {
-        Path(model): Errors(mse * hard + rng.normal(0.0, 0.002, 400), pair, pair) for model, mse in models.items()
+    scores = {
+        Path(model): scores_of_mse(mse * hard + rng.normal(0.0, 0.002, 400), pair) for model, mse in models.items()
     }
     runs = pd.DataFrame([measured("mse", mse, model, directory=Path(model)) for model, mse in models.items()])
-    filled = fill(TABLES["blocktower"], runs, errors)
+    filled = fill(TABLES["blocktower"], runs, scores)
     value = filled.values.set_index(["row", "column"]).loc[("3→3", "CoPhyNet")]
     assert 0.74 < value["share_low"] < 0.75 < value["share_high"] < 0.76
     shares = shares_of(filled)
@@ -101,8 +101,8 @@ def test_the_share_of_an_accuracy_grows_with_it() -> None:
     metric = "sequence_stability_accuracy"
     models = {"oracle_feedforward": 0.7, "oracle_counterfactual": 0.9, "cophynet": 0.8}
     runs = pd.DataFrame([measured(metric, value, model) for model, value in models.items()]).assign(mse=0.1)
-    errors = Errors(np.full(4, 0.1), np.arange(4) // 2, np.arange(4))  # intervals are of the MSE, not of an accuracy
-    filled = fill(TABLES["stability"], runs, {Path("runs"): errors})
+    scores = scores_of_mse(np.full(4, 0.1), np.arange(4) // 2)  # intervals are of the MSE, not of an accuracy
+    filled = fill(TABLES["stability"], runs, {Path("runs"): scores})
     shares = shares_of(filled)
     assert shares.loc["CoPhyNet", "3→3"] == "50%"
 
@@ -223,25 +223,32 @@ def test_every_number_of_the_paper_has_a_cell_and_no_other_table() -> None:
 
 @pytest.mark.parametrize("variance", [None, 0.25])
 @pytest.mark.parametrize("dims", [2, 3])
-def test_stored_errors_are_the_mse_of_each_experiment(
+def test_stored_scores_are_the_mse_of_each_experiment(
     dims: int, variance: float | None, tower_batch: Batch, tmp_path: Path
 ) -> None:
     position = tower_batch.inputs.observed[:, 1:]
     prediction = Prediction(position, draw_variance=None if variance is None else variance * torch.rand_like(position))
-    write_predictions(tmp_path, prediction_arrays(prediction, tower_batch.targets))
-    found = stored_errors({"directory": tmp_path, "metric_dims": dims})
-    expected = mean_squared_error(dims)(prediction, tower_batch.targets).numpy()
-    np.testing.assert_allclose(found.mse, expected, rtol=1e-5, atol=1e-6)
-    np.testing.assert_array_equal(found.pair, np.arange(len(tower_batch)) // 2)
+    targets = tower_batch.targets
+    write_predictions(tmp_path, prediction_arrays(prediction, targets, np.arange(len(targets))))
+    scores = stored_scores({"directory": tmp_path, "metric_dims": dims})
+    squared = (position.double() - targets.position).square() - (0.0 if variance is None else prediction.draw_variance)
+    present = targets.presence[:, None, :, None].expand_as(squared)[..., :dims]
+    expected = squared[..., :dims].where(present, torch.nan).nanmean(dim=(1, 2, 3))
+    np.testing.assert_allclose(scores.mse, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(scores.pair, np.arange(len(targets)) // 2)
 
 
 def test_a_share_is_of_the_experiments_that_all_were_tested_on() -> None:
     pairs = np.arange(40) // 2
-    ours = [Errors(np.where(pairs < 10, 2.0, 100.0), pairs, pairs)]
-    without, with_ab = ([Errors(np.full(20, mse), pairs[:20], pairs[:20])] for mse in (5.0, 1.0))
+    ours = [scores_of_mse(np.where(pairs < 10, 2.0, 100.0), pairs)]
+    without, with_ab = ([scores_of_mse(np.full(20, mse), pairs[:20])] for mse in (5.0, 1.0))
     assert share_of_gain(ours, without, with_ab) == pytest.approx((0.75, 0.75, 0.75))
-    other_pairs = [Errors(np.full(20, 1.0), pairs[2:22], pairs[2:22])]
+    turned = [each.select(np.arange(20)[::-1]) for each in with_ab]  # matched by their ids
+    assert share_of_gain(ours, without, turned) == pytest.approx((0.75, 0.75, 0.75))
+    none_in_common = [replace(each, experiment=each.experiment + 40) for each in with_ab]
+    assert np.isnan(share_of_gain(ours, without, none_in_common).value)
+    other_pairs = [replace(each, pair=each.pair + 1) for each in with_ab]
     assert np.isnan(share_of_gain(ours, without, other_pairs).value)
-    other_data = [Errors(np.full(20, 1.0), pairs[:20], pairs[:20] + 0.5)]  # whose pairs have the same numbers
+    other_data = [replace(each, truth=each.truth + 0.5) for each in with_ab]  # whose experiments have the same numbers
     assert np.isnan(share_of_gain(ours, without, other_data).value)
     assert np.isnan(share_of_gain([], without, with_ab).value)

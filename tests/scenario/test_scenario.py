@@ -72,7 +72,9 @@ def test_both_cells_of_a_pair_are_met_as_often(tiny) -> None:
 def test_cells_are_level_where_there_is_one_kind_of_block(name: str, tiny_data: Path) -> None:
     arrays = States(tiny_spec(name), tiny_data).load()
     for split in range(3):  # each starts with a block of its own
-        assert np.ptp(np.bincount(arrays["cell"][arrays["split"] == split], minlength=len(np.unique(arrays["cell"])))) <= 2
+        assert (
+            np.ptp(np.bincount(arrays["cell"][arrays["split"] == split], minlength=len(np.unique(arrays["cell"])))) <= 2
+        )
 
 
 def test_empty_slots_are_zero(tiny) -> None:

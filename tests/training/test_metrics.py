@@ -1,4 +1,4 @@
-"""Metrics and losses against values worked out by hand, and the evaluation of a test split."""
+"""Metrics in training and losses against values worked out by hand, and the scores of a test split."""
 
 from dataclasses import replace
 
@@ -6,22 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from cophy.bootstrap import mean
 from cophy.errors import CophyError
-from cophy.scenario import Camera, Task
+from cophy.scenario import Task
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
 from cophy.training.metrics import (
     MeanOfEachCell,
     StandingConfusion,
     collection,
-    evaluate,
-    mean_squared_error,
-    pixel_measures,
     position_measures,
     stability_measures,
+    twin_collection,
 )
 from cophy.types import Batch, Prediction, Targets, take
 from tests.models.networks import random_batch
+from tests.training.scored import scored
 
 INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])
 
@@ -91,19 +89,6 @@ def test_sequence_stability_needs_every_step() -> None:
     assert values[names.index("sequence_stability_accuracy")].tolist() == [0.0, 1.0]
 
 
-def test_pixel_error_of_each_object_by_its_height_in_c() -> None:
-    """A camera 10 m away that sees 90 degrees: one metre at the target's depth is 22.4 of 448 pixels."""
-    camera = Camera(eye=[0.0, -10.0, 0.0], target=[0.0, 0.0, 0.0], field_of_view_deg=90.0)
-    measures = pixel_measures(Task(3, 0.1, by_height=True, splits=[]), camera, num_objects=2)
-    position = torch.zeros(2, 2, 2, 3)
-    position[0, -1, 0], position[0, -1, 1] = torch.tensor([1.0, 0, 0]), torch.tensor([0, 0, -2.0])
-    position[1, -1, 1] = torch.tensor([0.0, 10.0, 3.0])  # twice as far away
-    values = {name: measure(Prediction(position), targets()) for name, measure in measures.items()}
-    assert values["pixel_error"].tolist() == pytest.approx([(22.4 + 44.8) / 2, 33.6])
-    assert values["pixel_error_1"].tolist() == pytest.approx([44.8, 33.6])
-    assert values["pixel_error_2"].tolist() == pytest.approx([22.4, float("nan")], nan_ok=True)
-
-
 def test_confounder_loss_is_over_the_objects_of_ab() -> None:
     mass = torch.tensor([[[9.0, -9.0], [9.0, -9.0]], [[0.0, 0.0], [-9.0, 9.0]]])  # right, wrong by 18, -, right
     friction = torch.zeros(2, 2, 2)  # undecided: log 2
@@ -143,41 +128,50 @@ def test_one_logit_per_sequence_predicts_being_always_stable() -> None:
     assert stability_target(torch.zeros(2, 1, 2), targets()).tolist() == [[[True, False]], [[False, False]]]
 
 
-def test_the_sampling_variance_is_subtracted() -> None:
-    position = targets().position.clone()
-    position[..., 0] += 3.0
-    variance = torch.zeros_like(position)
-    variance[..., 0] = 4.0
-    sampled = Prediction(position, draw_variance=variance)
-    for dims in (2, 3):
-        assert mean_squared_error(dims)(sampled, targets()).tolist() == pytest.approx([5.0 / dims] * 2)
-
-
 def test_a_prediction_that_is_not_finite_is_an_error(tower_batch: Batch, scenario_of) -> None:
     scenario, targets = scenario_of("blocktower"), tower_batch.targets
     position = targets.position.clone()
     position[3, 5] = torch.nan
     with pytest.raises(CophyError, match="non-finite"):
-        evaluate(Prediction(position), targets, scenario)
+        scored(Prediction(position), targets, scenario)
     logit = torch.full_like(targets.position[..., 0], torch.nan)
     with pytest.raises(CophyError, match="non-finite"):
-        evaluate(Prediction(targets.position, logit), targets, scenario)
+        scored(Prediction(targets.position, logit), targets, scenario)
 
 
 def test_predictions_of_absent_objects_do_not_matter(tower_batch: Batch, scenario_of) -> None:
     targets = tower_batch.targets
     absent = torch.where(targets.presence[:, None, :, None], targets.position, torch.nan)
-    assert evaluate(Prediction(absent), targets, scenario_of("blocktower"))["mse"].max() == 0
+    assert scored(Prediction(absent), targets, scenario_of("blocktower")).mse.max() == 0
 
 
 def test_the_pixel_error_by_height_is_the_mean_of_the_heights(tower_batch: Batch, scenario_of) -> None:
     """As in the paper's Table 1. Of towers whose top was removed the top does not count, of all the others it does."""
     shifted = Prediction(tower_batch.targets.position + torch.tensor([0.1, 0.0, 0.2]))
-    values = evaluate(shifted, tower_batch.targets, scenario_of("blocktower"))
-    heights = [mean(values[f"pixel_error_{rank}"]) for rank in (1, 2, 3)]
-    assert np.isnan(values["pixel_error_3"]).any()
-    assert mean(values["pixel_error_by_height"]) == pytest.approx(np.mean(heights))
-    assert mean(values["pixel_error_by_height"]) != pytest.approx(mean(values["pixel_error"]), rel=1e-6)
+    scores = scored(shifted, tower_batch.targets, scenario_of("blocktower"))
+    means = scores.means()
+    heights = [means[f"pixel_error_{rank}"] for rank in (1, 2, 3)]
+    assert np.isnan(scores.values["pixel_error_3"]).any()
+    assert means["pixel_error_by_height"] == pytest.approx(np.mean(heights))
+    assert means["pixel_error_by_height"] != pytest.approx(means["pixel_error"], rel=1e-6)
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_metrics_in_training_are_the_scores_of_the_test(dims: int, scenario_of) -> None:
+    batch, scenario = random_batch(4, [3] * 12), scenario_of("blocktower", f"scenario.task.metric_dims={dims}")
+    presence = batch.targets.presence[::2].repeat_interleave(2, dim=0)
+    targets = replace(batch.targets, presence=presence, position=batch.targets.position.double())
+    noisy = Prediction(targets.position + torch.randn(targets.position.shape), torch.randn(12, 6, 4))
+    metrics = [
+        collection(position_measures(scenario.task), prefix=""),
+        collection(stability_measures(), prefix=""),
+        twin_collection(dims, ""),
+    ]
+    means = scored(noisy, targets, scenario).means()
+    for each in metrics:
+        each.update(noisy, targets)
+        for name, value in each.compute().items():
+            assert float(value) == pytest.approx(means[name], rel=1e-6)
 
 
 def test_every_cell_has_its_own_mean() -> None:

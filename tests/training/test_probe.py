@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
-from cophy.training.probe import Probed, probe, warn_if_constant
+from cophy.training.probe import Probed, probe, probe_accuracies, warn_if_constant
 from cophy.types import Targets
 
 
@@ -31,11 +32,27 @@ def labelled(count: int, seed: int) -> Probed:
 
 
 def test_the_probe_finds_what_is_there_and_nothing_else() -> None:
-    values = {name: value.mean() for name, value in probe(labelled(2000, 0), labelled(2000, 1)).items()}
+    values = {
+        name: value.mean() for name, value in probe_accuracies(probe(labelled(2000, 0), labelled(2000, 1))).items()
+    }
     assert values["probe_mass_accuracy"] == 1.0
     assert values["probe_friction_accuracy"] == pytest.approx(0.5, abs=0.04)
     assert values["probe_accuracy"] == pytest.approx(0.5, abs=0.04)
     assert values["probe_chance"] == pytest.approx(0.25, abs=0.03)
+
+
+def test_the_classes_are_those_of_the_objects_of_ab() -> None:
+    train, test = labelled(2000, 0), labelled(2000, 1)
+    probed, present = probe(train, test), test.targets.observed_presence.numpy()
+    true = test.targets.confounder_class.numpy()
+    np.testing.assert_array_equal(probed["confounder_class"], np.where(present[..., None], true, -1))
+    np.testing.assert_array_equal(probed["probe_mass"], np.where(present, true[..., 0], -1))
+    assert (probed["probe_mass_and_friction"][..., 0] == probed["probe_mass"]).mean() > 0.99
+    for name, shape in {"probe_friction": (2000, 2), "probe_mass_and_friction": (2000, 2, 2)}.items():
+        assert probed[name].shape == shape
+        assert ((probed[name].reshape(2000, 2, -1)[..., 0] >= 0) == present).all()
+    seen = train.targets.confounder_class[train.targets.observed_presence].tolist()
+    assert probed["probe_most_frequent"].tolist() == max(seen, key=seen.count)
 
 
 def test_the_probe_of_a_constant_is_right() -> None:
@@ -43,7 +60,7 @@ def test_the_probe_of_a_constant_is_right() -> None:
         classes = probed.targets.confounder_class * torch.tensor([1, 0])
         return probed._replace(targets=replace(probed.targets, confounder_class=classes))
 
-    values = probe(constant(labelled(200, 0)), constant(labelled(200, 1)))
+    values = probe_accuracies(probe(constant(labelled(200, 0)), constant(labelled(200, 1))))
     assert values["probe_friction_accuracy"].mean() == 1.0
     assert values["probe_mass_accuracy"].mean() == 1.0
 

@@ -14,6 +14,7 @@ from cophy.errors import CophyError
 from cophy.training.predictor import prediction_arrays
 from cophy.training.run import Results, Run, differences, plain_value, read_predictions, write_predictions
 from cophy.types import Batch, Prediction
+from tests.report.stored_runs import leave
 
 
 @pytest.fixture
@@ -106,15 +107,42 @@ def test_metrics_are_means_with_their_intervals(run: Run) -> None:
 
 
 def test_predictions_are_read_as_they_were_written(tmp_path: Path, tower_batch: Batch) -> None:
-    targets = tower_batch.targets
-    write_predictions(tmp_path, prediction_arrays(Prediction(targets.position + 1), targets))
+    targets, experiments = tower_batch.targets, np.arange(len(tower_batch))[::-1]
+    empty = ~targets.presence[:, None, :, None]
+    position = (targets.position + 1).masked_fill(empty, torch.nan)
+    logit, estimate = torch.ones_like(targets.position[:, :1, :, 0]), torch.ones(*targets.presence.shape, 8)
+    write_predictions(tmp_path, prediction_arrays(Prediction(position, logit, estimate), targets, experiments))
     arrays = read_predictions(tmp_path)
-    np.testing.assert_array_equal(arrays["position"], (targets.position + 1).numpy())
+    np.testing.assert_array_equal(arrays["experiment"], experiments)
+    np.testing.assert_array_equal(arrays["position"], (targets.position + 1).masked_fill(empty, 0.0).numpy())
+    for name in ("stable", "presence", "initial", "pair", "cell"):
+        np.testing.assert_array_equal(arrays[name], getattr(targets, name).numpy())
     np.testing.assert_array_equal(arrays["target"], targets.position.numpy())
-    assert torch.equal(torch.from_numpy(arrays["presence"]), targets.presence)
+    assert arrays["stable_logit"].shape == (len(tower_batch), 1, targets.presence.shape[1])
+    np.testing.assert_array_equal(arrays["estimate"].all(axis=-1), targets.observed_presence.numpy())
     path = tmp_path / "predictions.npz"
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(CophyError, match=r"predictions\.npz is missing or damaged"):
+        read_predictions(tmp_path)
+
+
+WRONG = {
+    "stable_logit": np.zeros((4, 2, 3)),
+    "estimate": np.zeros((4, 3)),
+    "probe_mass": np.zeros((4, 3)),
+    "probe_most_frequent": np.zeros(3, dtype=np.int16),
+    "experiment": np.arange(4.0),
+    "stable": np.ones((4, 5, 3)),
+    "cell": np.zeros(5, dtype=np.int64),
+    "draw_variance": np.full((4, 5, 3, 3), np.inf),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_arrays_of_another_shape_or_type_are_named(name: str, tmp_path: Path) -> None:
+    leave(tmp_path, "{}")
+    write_predictions(tmp_path, read_predictions(tmp_path) | {name: WRONG[name]})
+    with pytest.raises(CophyError, match=rf"predictions\.npz is missing or damaged \(.* {name}\)"):
         read_predictions(tmp_path)
 
 

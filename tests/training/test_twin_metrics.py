@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from cophy.bootstrap import mean
 from cophy.models.baselines import CopyB, CopyC
-from cophy.training.metrics import evaluate, have_twins, right_twin_chosen, twin_collection, twin_difference, twin_of
+from cophy.training.metrics import have_twins, right_twin_chosen, twin_collection, twin_difference, twin_of
 from cophy.types import Batch, Prediction, Targets, take
 from tests.models.networks import build, random_batch
+from tests.training.scored import scored
 
 
 def two_pairs() -> Targets:
@@ -69,20 +69,20 @@ def test_a_model_without_ab_explains_nothing_and_chooses_by_chance(
 ) -> None:
     with torch.no_grad():
         prediction = build(choice)(tower_batch.inputs)
-    values = evaluate(prediction, tower_batch.targets, scenario_of("blocktower"))
-    assert mean(values["twin_difference_explained"]) == pytest.approx(0.0, abs=1e-6)
-    assert mean(values["right_twin_chosen"]) == 0.5
+    means = scored(prediction, tower_batch.targets, scenario_of("blocktower")).means()
+    assert means["twin_difference_explained"] == pytest.approx(0.0, abs=1e-6)
+    assert means["right_twin_chosen"] == 0.5
 
 
 def test_the_truth_explains_everything(tower_batch: Batch, scenario_of) -> None:
-    values = evaluate(Prediction(tower_batch.targets.position), tower_batch.targets, scenario_of("blocktower"))
-    assert mean(values["twin_difference_explained"]) == 1.0
-    assert mean(values["right_twin_chosen"]) == 1.0
+    means = scored(Prediction(tower_batch.targets.position), tower_batch.targets, scenario_of("blocktower")).means()
+    assert means["twin_difference_explained"] == 1.0
+    assert means["right_twin_chosen"] == 1.0
 
 
 def test_data_without_twins_have_no_such_measure(tower_batch: Batch, scenario_of) -> None:
     alone = replace(tower_batch.targets, pair=torch.arange(len(tower_batch)))
-    values = evaluate(CopyC()(tower_batch.inputs), alone, scenario_of("blocktower"))
+    values = scored(CopyC()(tower_batch.inputs), alone, scenario_of("blocktower")).values
     assert "twin_difference_explained" not in values
     assert "right_twin_chosen" not in values
 
@@ -95,27 +95,5 @@ def test_the_twins_of_copy_b_differ_as_their_ab_do(tower_batch: Batch, scenario_
     )
     delta_p, delta_d = observed[::2] - observed[1::2], true[::2] - true[1::2]
     expected = 1 - np.square(delta_p - delta_d).sum() / np.square(delta_d).sum()
-    values = evaluate(CopyB()(inputs), targets, scenario_of("blocktower"))
-    assert mean(values["twin_difference_explained"]) == pytest.approx(expected, abs=1e-6)
-
-
-def test_the_sampling_variance_of_twins_is_subtracted() -> None:
-    """Means of a true difference of 2 m, each with a variance of 1 m²: the squared error of their difference is 2 m² too large."""
-    count, generator = 20000, torch.Generator().manual_seed(0)
-    position = torch.zeros(count, 1, 2, 3)
-    position[1::2, 0, 0, 0] = 2.0
-    truth = replace(take(two_pairs(), [0, 1] * (count // 2)), position=position, pair=torch.arange(count) // 2)
-    noise = torch.randn(count, generator=generator)
-    sampled, variance = position.clone(), torch.zeros_like(position)
-    sampled[:, 0, 0, 0] += noise
-    variance[:, 0, 0, 0] = 1.0
-    difference = twin_difference(Prediction(sampled, draw_variance=variance), truth, 3)
-    assert float(difference.explained.sum() / difference.size.sum()) == pytest.approx(1.0, abs=0.02)
-    assert float(difference.error.mean()) == pytest.approx(0.0, abs=0.1)
-
-
-def test_twins_of_the_same_draws_predict_no_difference_at_all() -> None:
-    sampled = predicted(1.0, 1.0, 3.0, 3.0)
-    sampled.position[1::2] = sampled.position[::2]
-    sampled.draw_variance = torch.ones_like(sampled.position)
-    assert twin_difference(sampled, two_pairs(), 3).explained.tolist() == [0.0] * 4
+    means = scored(CopyB()(inputs), targets, scenario_of("blocktower")).means()
+    assert means["twin_difference_explained"] == pytest.approx(expected, abs=1e-6)

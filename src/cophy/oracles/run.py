@@ -12,7 +12,7 @@ from cophy.drawing.tensorboard import NUM_DRAWN, DrawnPredictions
 from cophy.errors import CophyError
 from cophy.oracles.forecasts import ORACLES, OracleSettings, oracle_forecasts
 from cophy.training.predictor import PredictionModule
-from cophy.types import Batch, Prediction, take
+from cophy.types import Batch, Inputs, Prediction, take
 
 MIN_PROBABILITY = 1e-6  # of being stable and of moving, so that the logit is finite
 
@@ -32,6 +32,8 @@ class OracleModule(PredictionModule):
     def on_validation_epoch_end(self) -> None: ...
 
     def test_step(self, batch: Batch) -> None: ...
+
+    def check_batches(self, inputs: Inputs) -> None: ...
 
     def on_test_epoch_end(self) -> None:
         data = self.trainer.datamodule  # type: ignore[attr-defined]

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cophy.bootstrap import Ratio, interval, mean
+from cophy.bootstrap import interval, mean
 from cophy.dataset.difficulty import difficulty
 from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
@@ -21,9 +20,8 @@ from cophy.drawing.plots import square_root
 from cophy.report.figures import row_name, sort_rows
 from cophy.report.runs import comparable_seeds
 from cophy.scenario import Scenario
-from cophy.training.metrics import mean_squared_error, twin_difference
+from cophy.scoring import Predictions, Scores, Truth, average, score
 from cophy.training.run import read_predictions
-from cophy.types import Prediction, Targets
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +37,7 @@ QUANTITIES = {
     "counterfactual_margin": "C: margin of the tower (m)",
 }
 TITLES = {EVERYTHING: "all", **CATEGORIES, **QUANTITIES}
-RELATIVE_MSE_TOLERANCE = 1e-4  # float32, summed in another order
+RELATIVE_MSE_TOLERANCE = 1e-6  # metrics.json has all digits
 
 
 def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: DatasetSpec, part: Part) -> pd.DataFrame:
@@ -58,30 +56,29 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
         difference; NaN elsewhere.
     """
     arrays = sort_by_twins(arrays, spec)
-    tested = np.flatnonzero(part.select_split(arrays, "test"))
-    tested = tested[np.lexsort((arrays["experiment"][tested], arrays["twin"][tested]))]  # as in predictions.npz
-    test_arrays = {name: array[tested] for name, array in arrays.items()}
-    truth, twins, lines = to_batch(test_arrays, spec.scenario).targets, test_arrays["twin"], []
+    tested, lines = np.flatnonzero(part.select_split(arrays, "test")), []
+    truth = _truth({name: array[tested] for name, array in arrays.items()}, spec.scenario)
     measures = difficulty(arrays, spec)
     values = {name: measures[name][tested] for name in TITLES if name in measures}
     for keys, row_runs in runs.groupby([*SECTION, "model", "ablation"]):
         seeds = [
-            errors
+            scores
             for run in comparable_seeds(row_runs).to_dict("records")
-            if (errors := _errors(run, read_predictions(run["directory"]), truth, spec)) is not None
+            if (scores := _scores(run, read_predictions(run["directory"]), truth, spec)) is not None
         ]
         if not seeds:
             continue
         names = [str(key) for key in keys]
         section = dict(zip(SECTION, names, strict=False)) | {"row": row_name(*names[-2:])}
-        errors, twin_error, twin_size = np.mean(seeds, axis=0)
+        all_scores = average(seeds)
         for by, group, rows in groups(values):
-            low, high = interval(errors[rows], twins[rows])
+            scores = all_scores.select(rows)
+            low, high = interval(scores.mse, scores.pair)
             counts = {"experiments": int(rows.sum()), "seeds": len(seeds)}
-            numbers = {"mse": mean(errors[rows]), "low": low, "high": high}
+            numbers = {"mse": mean(scores.mse), "low": low, "high": high}
             if by in WHOLE_PAIRS:
-                explained = Ratio(twin_size[rows] - twin_error[rows], twin_size[rows])
-                ends = interval(explained, twins[rows])
+                explained = scores.values["twin_difference_explained"]
+                ends = interval(explained, scores.pair)
                 numbers |= {"explained": mean(explained), "explained_low": ends[0], "explained_high": ends[1]}
             lines.append({**section, "by": by, "group": group, **counts, **numbers})
     return pd.DataFrame(lines)
@@ -110,33 +107,46 @@ def _thirds(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
     return [(f"{edges[k]:.3g} to {edges[k + 1]:.3g}", known & (third == k)) for k in range(3)]
 
 
-def _errors(
-    run: dict[Any, Any], predictions: dict[str, np.ndarray], truth: Targets, spec: DatasetSpec
-) -> np.ndarray | None:
-    """Return (3, experiment) MSE, and error and size of the twins' difference (see `TwinDifference`), of one run.
+def _truth(arrays: dict[str, np.ndarray], scenario: Scenario) -> Truth:
+    """Return the truth of test experiments, from the arrays of `sort_by_twins`."""
+    targets = to_batch(arrays, scenario).targets
+    return Truth(
+        experiment=arrays["experiment"],
+        position=targets.position.numpy(),
+        stable=targets.stable.numpy(),
+        presence=targets.presence.numpy(),
+        initial=targets.initial.numpy(),
+        pair=arrays["twin"],
+        cell=targets.cell.numpy(),
+        metric_dims=scenario.task.metric_dims,
+    )
+
+
+def _scores(run: dict[Any, Any], predictions: dict[str, np.ndarray], truth: Truth, spec: DatasetSpec) -> Scores | None:
+    """Return the scores of one run.
 
     None where its predictions are not of this whole test split, or do not give the MSE of its metrics.json.
     """
-    directory, count, total = run["directory"], len(predictions["target"]), len(truth.position)
-    if spec.id not in run["dataset_ids"] or not (
-        np.array_equal(predictions["target"], truth.position[:count])
-        and np.array_equal(predictions["presence"], truth.presence[:count])
+    directory, count, total = run["directory"], len(predictions["experiment"]), len(truth.experiment)
+    _, rows, stored = np.intersect1d(truth.experiment, predictions["experiment"], return_indices=True)
+    if (
+        spec.id not in run["dataset_ids"]
+        or len(rows) < count
+        or not np.array_equal(predictions["target"][stored], truth.position[rows])
+        or not np.array_equal(predictions["presence"][stored], truth.presence[rows])
     ):
         log.error("%s: its predictions are not of the test split of %s: run it again", directory, spec.id)
         return None
     if count < total:  # an oracle; its groups would hold other experiments than those of the models
         log.info("%s: not in MSE by difficulty, as it predicted %d of %d test experiments", directory, count, total)
         return None
-    variance = torch.from_numpy(predictions["draw_variance"]) if "draw_variance" in predictions else None
-    prediction = Prediction(torch.from_numpy(predictions["position"]), draw_variance=variance)
-    dims = spec.scenario.task.metric_dims
-    errors = mean_squared_error(dims)(prediction, truth).double().numpy()
-    if not np.isclose(errors.mean(), run["mse"], rtol=RELATIVE_MSE_TOLERANCE):
+    scores = score(Predictions.from_arrays(predictions), truth)
+    mse = scores.mse.mean()
+    if not np.isclose(mse, run["mse"], rtol=RELATIVE_MSE_TOLERANCE):
         message = "%s: its predictions have MSE %.6f, its metrics.json says %.6f: run it again"
-        log.error(message, directory, errors.mean(), run["mse"])
+        log.error(message, directory, mse, run["mse"])
         return None
-    twins = twin_difference(prediction, truth, dims)
-    return np.stack([errors, twins.error.numpy(), twins.size.numpy()])
+    return scores
 
 
 MAX_PANELS_PER_ROW = 4

@@ -101,8 +101,8 @@ class Report:
             self.finished, self.runs = (part[~part["directory"].isin(damaged)] for part in (self.finished, runs))
         names = self.finished["scenario"].unique() if len(self.finished) else ()
         self.scenarios = {str(name): configurations.scenario(str(name)) for name in names}
-        errors = {directory: predictions.errors for directory, predictions in self.stored.items()}
-        self.filled = [fill(table, self.runs, errors, self.supplement.participants) for table in paper_tables()]
+        scores = {directory: predictions.scores for directory, predictions in self.stored.items()}
+        self.filled = [fill(table, self.runs, scores, self.supplement.participants) for table in paper_tables()]
         self.twins, self.difficulty = twin_tables(self.runs), self._mse_by_difficulty()
 
     def show(self) -> None:

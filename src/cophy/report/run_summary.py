@@ -12,7 +12,7 @@ from rich.table import Table
 
 from cophy.errors import CophyError
 from cophy.report.paper_tables import published_mse
-from cophy.report.predictions import stored_errors
+from cophy.report.predictions import stored_scores
 from cophy.report.runs import read_line
 from cophy.report.tables import share_of_gain
 from cophy.training.run import METRICS, Run
@@ -57,7 +57,7 @@ def _lines(run: Run, content: dict[str, Any]) -> Iterator[tuple[str, str]]:
     oracles = [_oracle(run.root / run.scenario / run.split / name, content) for name in ENDS_OF_SHARE]
     if None not in oracles:
         lines = [{"directory": path, "metric_dims": content["metric_dims"]} for path in (run.directory, *oracles)]
-        share = share_of_gain(*([stored_errors(line)] for line in lines))
+        share = share_of_gain(*([stored_scores(line)] for line in lines))
         if not np.isnan(share.value):
             yield "Share of the possible gain", f"{share.value:.0%} [{share.low:.0%}, {share.high:.0%}]"
 

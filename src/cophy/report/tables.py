@@ -5,6 +5,7 @@ Nothing is formatted here; `cophy.report.render` does that, once per medium.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,8 +14,8 @@ import pandas as pd
 
 from cophy.bootstrap import Ratio, interval
 from cophy.report.paper_tables import PaperTable
-from cophy.report.predictions import Errors
 from cophy.report.runs import PLACE, comparable_seeds, select
+from cophy.scoring import Scores, average, have_same_experiments
 
 TESTED_ON = {  # positions= -> sentence of the caption
     "ground_truth": "Tested on true positions.",
@@ -82,15 +83,15 @@ class GainShare(NamedTuple):
 UNKNOWN = GainShare(np.nan)
 
 
-def share_of_gain(ours: Sequence[Errors], without: Sequence[Errors], with_ab: Sequence[Errors]) -> GainShare:
+def share_of_gain(ours: Sequence[Scores], without: Sequence[Scores], with_ab: Sequence[Scores]) -> GainShare:
     """Return (oracle without AB - ours) / (oracle without AB - oracle with AB), on the experiments common to all.
 
-    Oracles predict only the first experiments of a test split; a model's errors on the others do not count here.
+    Oracles predict only some experiments of a test split; a model's errors on the others do not count here.
 
     Args:
-        ours: Errors of a method, one per seed; they are averaged.
-        without: Errors of the oracle without AB.
-        with_ab: Errors of the oracle with AB.
+        ours: Scores of a method, one per seed; they are averaged.
+        without: Scores of the oracle without AB.
+        with_ab: Scores of the oracle with AB.
 
     Returns:
         NaN where the runs were tested on different experiments, or one of the three is missing.
@@ -98,12 +99,16 @@ def share_of_gain(ours: Sequence[Errors], without: Sequence[Errors], with_ab: Se
     parts = ours, without, with_ab
     if not all(parts):
         return UNKNOWN
-    count = min(len(errors.pair) for part in parts for errors in part)
-    if len({(errors.pair[:count].tobytes(), errors.truth[:count].tobytes()) for part in parts for errors in part}) > 1:
+    shared = reduce(np.intersect1d, (scores.experiment for part in parts for scores in part))
+    selected = [
+        [scores.select(np.intersect1d(scores.experiment, shared, return_indices=True)[1]) for scores in part]
+        for part in parts
+    ]
+    if not len(shared) or not have_same_experiments([scores for part in selected for scores in part]):
         return UNKNOWN
-    mse, mse_without, mse_with = (np.mean([errors.mse[:count] for errors in part], axis=0) for part in parts)
+    mse, mse_without, mse_with = (average(part).mse for part in selected)
     gain, possible = mse_without - mse, mse_without - mse_with
-    return GainShare(gain.sum() / possible.sum(), *interval(Ratio(gain, possible), parts[0][0].pair[:count]))
+    return GainShare(gain.sum() / possible.sum(), *interval(Ratio(gain, possible), selected[0][0].pair))
 
 
 CELL_COLUMNS = ("row", "column", "metric", "ours", "sd", "low", "high", "seeds", "failed", "paper")
@@ -143,7 +148,7 @@ class FilledTable:
 def fill(
     table: PaperTable,
     runs: pd.DataFrame,
-    errors: Mapping[Path, Errors] | None = None,
+    scores: Mapping[Path, Scores] | None = None,
     participants: pd.DataFrame | None = None,
 ) -> FilledTable:
     """Fill a table with means over seeds and their uncertainty.
@@ -151,7 +156,7 @@ def fill(
     Args:
         table: The paper's.
         runs: See `read_runs`.
-        errors: Errors of the runs by directory, for intervals of shares; None for shares of means, without intervals.
+        scores: Scores of the runs by directory, for intervals of shares; None for shares of means, without intervals.
         participants: Numbers of human participants, see `cophy.report.pipeline.Supplement`; None without any.
     """
     runs, left_out = _of_largest_size(runs, table)
@@ -165,7 +170,7 @@ def fill(
         used.append(cell_runs)
         values.append({"row": row, "column": column, "metric": metric, **numbers, "paper": paper})
     frame = pd.DataFrame(values, columns=CELL_COLUMNS).astype({"paper": float})
-    share, low, high = zip(*_shares(table, frame, used, errors), strict=True)
+    share, low, high = zip(*_shares(table, frame, used, scores), strict=True)
     frame = frame.assign(best=_best(table, frame), share=share, share_low=low, share_high=high)
     controls = None
     if table.controls:
@@ -216,9 +221,9 @@ def _participants(
 
 
 def _shares(
-    table: PaperTable, values: pd.DataFrame, used: list[pd.DataFrame], errors: Mapping[Path, Errors] | None
+    table: PaperTable, values: pd.DataFrame, used: list[pd.DataFrame], scores: Mapping[Path, Scores] | None
 ) -> list[GainShare]:
-    """Return the share of each cell: from errors for the MSE, else from means over the same test experiments."""
+    """Return the share of each cell: from scores for the MSE, else from means over the same test experiments."""
     if not table.oracles:
         return [UNKNOWN] * len(values)
     method_axis, other_axis = _axes(table)
@@ -229,8 +234,8 @@ def _shares(
         compared = [(label, other), (table.oracles[0], other), (table.oracles[-1], other)]
         if any(runs[cell].empty for cell in compared):
             shares.append(UNKNOWN)
-        elif errors is not None and metric == "mse":
-            shares.append(share_of_gain(*([errors[path] for path in runs[cell]["directory"]] for cell in compared)))
+        elif scores is not None and metric == "mse":
+            shares.append(share_of_gain(*([scores[path] for path in runs[cell]["directory"]] for cell in compared)))
         elif pd.concat([runs[cell] for cell in compared])["num_test"].nunique() > 1:
             shares.append(UNKNOWN)
         else:

@@ -12,7 +12,6 @@ _MODULES = {
     "Run": "run",
     "TrainedDerenderer": "trained",
     "TrainedPredictor": "trained",
-    "evaluate": "metrics",
     "make_trainer": "trainer",
 }
 __all__ = [
@@ -21,7 +20,6 @@ __all__ = [
     "Run",
     "TrainedDerenderer",
     "TrainedPredictor",
-    "evaluate",
     "make_trainer",
 ]
 

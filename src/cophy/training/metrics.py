@@ -1,32 +1,25 @@
-"""How predictions are judged: metrics per experiment, metrics of twins, and the metrics of a whole test split.
+"""Metrics in training and validation, on any device and over batches; `cophy.scoring` defines them and scores the test.
 
-Every experiment counts once, whatever its number of objects or its batch. Twins share A, C and the do-operation; only their
-confounders differ, which AB alone shows. A model that ignores AB predicts the same for both, so the metrics of twins measure
-what a model infers from AB, without any oracle.
+Every experiment counts once, whatever its number of objects or its batch.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Generic, NamedTuple, TypeVar
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, distributed
 from torchmetrics import MeanMetric, Metric, MetricCollection
 from torchmetrics.classification import BinaryConfusionMatrix
 
-from cophy.bootstrap import Ratio, mean
-from cophy.errors import CophyError
-from cophy.models.baselines import CopyB, CopyC
-from cophy.scenario import Camera, Scenario, Task
+from cophy.scenario import Task
 from cophy.types import Batch, Prediction, Targets
 
 PerExperiment = Float[Tensor, "batch"]
 Measure = Callable[[Prediction, Targets], PerExperiment]
 PredictionT = TypeVar("PredictionT")  # `Prediction`, or the output of a de-renderer
 TargetT = TypeVar("TargetT")
-PIXEL_ERROR_RESOLUTION = 448  # paper Table 1: pixel errors are given at 448 x 448
 NOT_FINITE = "predicts non-finite values: lower training.learning_rate, or look for a division by zero in the model"
 
 
@@ -43,15 +36,10 @@ class ExperimentMean(MeanMetric, Generic[PredictionT, TargetT]):
 
 
 def mean_squared_error(dims: int) -> Measure:
-    """MSE in m² over the first `dims` coordinates, present objects and steps 1 … T-1 (paper Tables 2-4).
-
-    For Monte Carlo oracles, the sampling variance is subtracted: an unbiased estimate of the MSE of the exact mean.
-    """
+    """MSE in m² over the first `dims` coordinates, present objects and steps 1 … T-1 (paper Tables 2-4)."""
 
     def measure(prediction: Prediction, targets: Targets) -> PerExperiment:
         error = (prediction.position - targets.position).square()
-        if prediction.draw_variance is not None:
-            error = error - prediction.draw_variance
         return over_objects(error[..., :dims].mean(dim=-1).mean(dim=1), targets.presence)
 
     return measure
@@ -63,23 +51,6 @@ def final_position_error(dims: int) -> Measure:
     def measure(prediction: Prediction, targets: Targets) -> PerExperiment:
         error = (prediction.position - targets.position)[:, -1, :, :dims].norm(dim=-1)
         return over_objects(error, targets.presence)
-
-    return measure
-
-
-def pixel_error(camera: Camera) -> Measure:
-    """Distance in pixels between predicted and true final position in the camera's image, mean over objects."""
-    return lambda prediction, targets: over_objects(_pixel_distance(camera, prediction, targets), targets.presence)
-
-
-def pixel_error_at_height(camera: Camera, rank: int) -> Measure:
-    """Pixel error of one object, the `rank`-th from below in C (0 is the lowest); NaN if C has fewer objects."""
-
-    def measure(prediction: Prediction, targets: Targets) -> PerExperiment:
-        height = torch.where(targets.presence, targets.initial[..., 2], torch.inf)
-        slot = height.argsort(dim=1)[:, rank : rank + 1]
-        distance = _pixel_distance(camera, prediction, targets).gather(1, slot).squeeze(1)
-        return torch.where(targets.presence.sum(dim=1) > rank, distance, torch.nan)
 
     return measure
 
@@ -115,19 +86,6 @@ def stability_measures() -> dict[str, Measure]:
     }
 
 
-def pixel_measures(task: Task, camera: Camera, num_objects: int) -> dict[str, Measure]:
-    """Return the metrics in the camera's image, for the test split; `pixel_error_1` is that of the lowest object.
-
-    Args:
-        task: Says whether errors are also given by height.
-        camera: Projects positions.
-        num_objects: Largest number of objects in C.
-    """
-    ranks = range(num_objects if task.by_height else 0)
-    levels = {f"pixel_error_{rank + 1}": pixel_error_at_height(camera, rank) for rank in ranks}
-    return {"pixel_error": pixel_error(camera)} | levels
-
-
 def collection(measures: Mapping[str, Callable[[PredictionT, TargetT], Tensor]], prefix: str) -> MetricCollection:
     """Return a torchmetrics collection of means over experiments."""
     metrics: dict[str, Metric | MetricCollection] = {name: ExperimentMean(each) for name, each in measures.items()}
@@ -143,15 +101,6 @@ def over_objects(values: Float[Tensor, "batch slots"], presence: Bool[Tensor, "b
 def _stable_logit(prediction: Prediction) -> Tensor:
     assert prediction.stable_logit is not None
     return prediction.stable_logit
-
-
-def _pixel_distance(camera: Camera, prediction: Prediction, targets: Targets) -> Float[Tensor, "batch slots"]:
-    """Return the distance in pixels at the last step."""
-    predicted, true = (
-        torch.from_numpy(camera.project(position[:, -1].cpu().numpy(), PIXEL_ERROR_RESOLUTION))
-        for position in (prediction.position, targets.position)
-    )
-    return (predicted - true).norm(dim=-1)
 
 
 class TwinDifference(NamedTuple):
@@ -188,14 +137,14 @@ def have_twins(pair: Int[Tensor, "batch"]) -> bool:
 def twin_difference(prediction: Prediction, targets: Targets, dims: int) -> TwinDifference:
     """Compare the predicted difference between twins with the true one, in the first `dims` coordinates.
 
-    Twins have to follow each other. For Monte Carlo oracles, the sampling variance is subtracted.
+    Twins have to follow each other.
     """
     twin, counted = twin_of(targets.pair), targets.presence[:, None, :, None]
     true, predicted = (
         torch.where(counted, position - position[twin], 0.0)[..., :dims].double()
         for position in (targets.position, prediction.position)
     )
-    return TwinDifference(_squared(predicted - true) - _sampling_variance(prediction, targets, dims), _squared(true))
+    return TwinDifference(_squared(predicted - true), _squared(true))
 
 
 def right_twin_chosen(prediction: Prediction, targets: Targets, dims: int) -> Float[Tensor, "batch"]:
@@ -242,17 +191,6 @@ def twin_collection(dims: int, prefix: str) -> MetricCollection:
         "right_twin_chosen": right_twin,
     }
     return MetricCollection(metrics, compute_groups=False, prefix=prefix)
-
-
-def _sampling_variance(prediction: Prediction, targets: Targets, dims: int) -> Float[Tensor, "batch"]:
-    """Return the expected contribution of sampling noise to |ΔP - ΔD|²; zero if both twins share their samples."""
-    twin, counted = twin_of(targets.pair), targets.presence[:, None, :, None]
-    if prediction.draw_variance is None:
-        return torch.zeros(len(twin), dtype=torch.float64, device=twin.device)
-    variance = prediction.draw_variance + prediction.draw_variance[twin]
-    added = torch.where(counted, variance, 0.0)[..., :dims].double().sum(dim=(1, 2, 3))
-    same = (prediction.position == prediction.position[twin]).flatten(1).all(dim=1)
-    return torch.where(same, 0.0, added)
 
 
 def _squared(difference: Float[Tensor, "batch steps slots dims"]) -> Float[Tensor, "batch"]:
@@ -313,53 +251,3 @@ def place_missed(prediction: Prediction, batch: Batch, position: Float[Tensor, "
     """Put objects that the de-renderer missed in C at one position, metres."""
     missed = (batch.targets.presence & ~batch.inputs.presence)[:, None, :, None]
     return replace(prediction, position=torch.where(missed, position, prediction.position))
-
-
-def mse_of_copies(batch: Batch, scenario: Scenario, missed_position: Float[Tensor, "3"]) -> dict[str, float]:
-    """Return the test MSE, m², of copy C ("D is C") and of copy B ("D is B"), the reference values of every MSE.
-
-    Args:
-        batch: The test split.
-        scenario: Says which coordinates count.
-        missed_position: Predicted position of objects that the de-renderer missed in C, metres.
-    """
-    mse = position_measures(scenario.task)["mse"]
-    copies = {"copy_c": CopyC(), "copy_b": CopyB()}
-    predictions = {name: place_missed(copy(batch.inputs), batch, missed_position) for name, copy in copies.items()}
-    return {name: mean(mse(each, batch.targets).double().numpy()) for name, each in predictions.items()}
-
-
-def evaluate(prediction: Prediction, targets: Targets, scenario: Scenario) -> dict[str, np.ndarray | Ratio]:
-    """Judge the predictions of a test split.
-
-    Args:
-        prediction: Predictions for all experiments.
-        targets: Targets of the same experiments.
-        scenario: Says which coordinates count, and through which camera pixels are measured.
-
-    Returns:
-        (experiment,) values of each metric; NaN if an experiment does not count. Metrics of twins are present if the data
-        have twins. `pixel_error_by_height` (experiment, height) is present if errors are given by height: its mean is the
-        mean of the heights' means, as in the paper's Table 1.
-
-    Raises:
-        CophyError: A prediction is not finite; it must not drop out of a mean.
-    """
-    for value in (prediction.position, prediction.stable_logit):
-        if value is not None and not value[targets.presence[:, None].expand(value.shape[:3])].isfinite().all():
-            raise CophyError(f"the model {NOT_FINITE}")
-    num_objects = int(targets.presence.sum(dim=1).max())
-    measures = position_measures(scenario.task) | pixel_measures(scenario.task, scenario.camera, num_objects)
-    if prediction.stable_logit is not None:
-        measures |= stability_measures()
-    values: dict[str, np.ndarray | Ratio] = {
-        name: measure(prediction, targets).double().numpy() for name, measure in measures.items()
-    }
-    if by_height := [value for name, value in values.items() if name.startswith("pixel_error_")]:
-        values["pixel_error_by_height"] = np.stack(by_height, axis=1)
-    if have_twins(targets.pair):
-        dims = scenario.task.metric_dims
-        difference = twin_difference(prediction, targets, dims)
-        values["twin_difference_explained"] = Ratio(difference.explained.numpy(), difference.size.numpy())
-        values["right_twin_chosen"] = right_twin_chosen(prediction, targets, dims).double().numpy()
-    return values

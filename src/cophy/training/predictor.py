@@ -13,7 +13,9 @@ from torchmetrics import MetricCollection
 
 from cophy.dataset.datamodules import CounterfactualDataModule, DeviceShare
 from cophy.errors import CophyError
+from cophy.models.baselines import CopyB, CopyC
 from cophy.scenario import Scenario
+from cophy.scoring import Predictions, Truth, score
 from cophy.training.augmentation import add_position_noise, augment, matrices_of
 from cophy.training.losses import confounder_loss, position_loss, stability_loss
 from cophy.training.metrics import (
@@ -21,21 +23,23 @@ from cophy.training.metrics import (
     MeanOfEachCell,
     StandingConfusion,
     collection,
-    evaluate,
     gather_devices,
     have_twins,
     mean_squared_error,
-    mse_of_copies,
     place_missed,
     position_measures,
     stability_measures,
     twin_collection,
 )
 from cophy.training.optimisation import make_optimizer
-from cophy.training.probe import Probed, collect_estimates, probe, warn_if_constant
+from cophy.training.probe import Probed, collect_estimates, probe, probe_accuracies, warn_if_constant
 from cophy.training.run import Results
 from cophy.training.settings import Training
-from cophy.types import Batch, Prediction, Targets, map_tensors, take
+from cophy.types import Batch, Inputs, Prediction, Targets, map_tensors, move_to, take
+
+NUM_PREDICTED_ALONE = 8  # experiments that are predicted one at a time, to compare with those of a batch
+ALLOWED_DIFFERENCE_M = 1e-3  # between both; rounding makes less
+ALLOWED_RELATIVE_DIFFERENCE = 1e-3  # of the largest movement of the experiment, for networks that predict large ones
 
 
 def estimate_dim(network: nn.Module) -> int:
@@ -131,13 +135,19 @@ class PredictionModule(L.LightningModule):
 
     def results(self, data: CounterfactualDataModule) -> Results:
         """Return all metrics of the test and the predictions, with twins next to each other."""
+        self.check_batches(data.test.batch.inputs)
         prediction, batch, rows = self.tested
-        experiments = data.test_experiments[rows]
-        pair = data.test_set.pairs(experiments)
+        pair = data.test_set.pairs(data.test_experiments[rows])
         order = np.argsort(pair, kind="stable")
         prediction, batch = take(prediction, torch.from_numpy(order)), take(batch, torch.from_numpy(order))
-        targets = batch.targets = replace(batch.targets, pair=torch.from_numpy(pair[order].astype(np.int64)))
-        values = evaluate(prediction, targets, self.scenario)
+        experiments, pair = data.test_experiments[rows][order], pair[order].astype(np.int64)
+        targets = batch.targets = replace(batch.targets, pair=torch.from_numpy(pair))
+        arrays, task = prediction_arrays(prediction, targets, experiments), self.scenario.task
+        truth = Truth.from_arrays(
+            arrays, metric_dims=task.metric_dims, by_height=task.by_height, camera=self.scenario.camera
+        )
+        scores = score(Predictions.from_arrays(arrays), truth)
+        values = scores.values
         if prediction.confounder_estimate is not None:
             tested = Probed(prediction.confounder_estimate, targets)
             warn_if_constant(tested)
@@ -145,9 +155,34 @@ class PredictionModule(L.LightningModule):
                 train = data.train.batch
                 estimate = collect_estimates(self.network, train.inputs, batch_size=self.training_settings.batch_size)
                 assert estimate is not None
-                values |= probe(Probed(estimate, train.targets), tested)
-        copies = mse_of_copies(batch, self.scenario, data.mean_position)
-        return Results(values, targets.pair.numpy(), copies, prediction_arrays(prediction, targets, experiments[order]))
+                probed = probe(Probed(estimate, train.targets), tested)
+                arrays, values = arrays | probed, {**values, **probe_accuracies(probed)}
+        return Results(values, scores.pair, mse_of_copies(batch, truth, data.mean_position), arrays)
+
+    def check_batches(self, inputs: Inputs) -> None:
+        """Compare predictions of single experiments with those of a batch: each must depend on its own AB and C alone.
+
+        Raises:
+            CophyError: They differ by more than rounding.
+        """
+        network, weights = self.network.eval(), next(self.network.parameters(), torch.zeros(()))
+        if torch.finfo(weights.dtype).bits < 32:  # rounding differs with the size of the batch
+            return
+        inputs = move_to(take(inputs, slice(self.training_settings.batch_size)), weights.device, weights.dtype)
+        with torch.no_grad():
+            together = network(inputs).position[:NUM_PREDICTED_ALONE]
+            rows = range(len(together))
+            alone = torch.cat([network(take(inputs, slice(row, row + 1))).position for row in rows])
+        present = inputs.presence[: len(together), None]
+        difference, movement = (
+            torch.where(present, vector.norm(dim=-1), 0.0).amax(dim=(1, 2))
+            for vector in (alone - together, together - inputs.initial[: len(together), None])
+        )
+        if (difference > (ALLOWED_RELATIVE_DIFFERENCE * movement).clamp(min=ALLOWED_DIFFERENCE_M)).any():
+            raise CophyError(
+                f"{type(network).__name__}: its prediction of an experiment depends on the other experiments of the batch, "
+                f"by {float(difference.max()):.3g} m: use no statistics of the batch in evaluation"
+            )
 
     def forward(self, batch: Batch) -> Prediction:
         """Predict D; only `batch.inputs` reaches the network."""
@@ -235,21 +270,41 @@ class PredictionModule(L.LightningModule):
 
 
 def prediction_arrays(prediction: Prediction, targets: Targets, experiments: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the arrays of predictions.npz, see `cophy.training.run.read_predictions`."""
+    """Return the arrays of predictions.npz without those of the probe, see `cophy.training.run.read_predictions`."""
+    presence = targets.presence[:, None]
     tensors = {
         "initial": targets.initial,
         "presence": targets.presence,
         "target": targets.position,
-        "position": prediction.position,
+        "stable": targets.stable,
+        "position": torch.where(presence[..., None], prediction.position, 0.0),
         "pair": targets.pair,
+        "cell": targets.cell,
     }
-    optional = {
-        "stable_logit": prediction.stable_logit,
-        "estimate": prediction.confounder_estimate,
-        "draw_variance": prediction.draw_variance,
-    }
-    tensors |= {name: tensor for name, tensor in optional.items() if tensor is not None}
+    if prediction.stable_logit is not None:
+        tensors["stable_logit"] = torch.where(presence, prediction.stable_logit, 0.0)
+    if prediction.confounder_estimate is not None:
+        seen = targets.observed_presence[..., None]
+        tensors["estimate"] = torch.where(seen, prediction.confounder_estimate, 0.0)
+    if prediction.draw_variance is not None:
+        tensors["draw_variance"] = torch.where(presence[..., None], prediction.draw_variance, 0.0)
     return {"experiment": experiments} | {name: tensor.numpy() for name, tensor in tensors.items()}
+
+
+def mse_of_copies(batch: Batch, truth: Truth, missed_position: Float[Tensor, "3"]) -> dict[str, float]:
+    """Return the test MSE, m², of copy C ("D is C") and of copy B ("D is B"), the reference values of every MSE.
+
+    Args:
+        batch: The test split.
+        truth: Of the same experiments in the same order.
+        missed_position: Predicted position of objects that the de-renderer missed in C, metres.
+    """
+    copies = {"copy_c": CopyC(), "copy_b": CopyB()}
+    predictions = {name: place_missed(copy(batch.inputs), batch, missed_position) for name, copy in copies.items()}
+    scores = {
+        name: score(Predictions(truth.experiment, each.position.numpy()), truth) for name, each in predictions.items()
+    }
+    return {name: float(each.mse.mean()) for name, each in scores.items()}
 
 
 def _to_cpu(tensor: Tensor) -> Tensor:

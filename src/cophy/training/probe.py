@@ -1,6 +1,7 @@
 """The confounder probe: linear classifiers of mass and friction on the estimate U (paper Table 5)."""
 
 import logging
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cophy.training.metrics import over_objects
+from cophy.scoring import mean_over_objects
 from cophy.types import Inputs, Targets, move_to, take
 
 log = logging.getLogger(__name__)
@@ -55,44 +56,53 @@ def probe(train: Probed, test: Probed) -> dict[str, np.ndarray]:
     """Classify mass and friction of the objects of AB by logistic regressions that are fitted on the training split.
 
     Returns:
-        (experiment,) share of objects classified correctly: mass and friction together (`probe_accuracy`), each alone,
-        and by always predicting the most frequent combination of the training split (`probe_chance`).
+        Classes of the test split, indices into the scenario's grid as int16, -1 where AB has no object: confounder_class
+        (experiment, K, 2), the true mass and friction; probe_mass_and_friction (experiment, K, 2), predicted by one
+        classifier of both; probe_mass and probe_friction (experiment, K), predicted alone. probe_most_frequent (2,): the most
+        frequent mass and friction of the training split.
     """
     from sklearn.linear_model import LogisticRegression  # takes half a second to import
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
+    presence = test.targets.observed_presence.numpy()
     train_estimates, test_estimates = (
         each.estimate[each.targets.observed_presence].float().numpy() for each in (train, test)
     )
-    train_classes, test_classes = (_classes(each.targets) for each in (train, test))
+    train_classes = train.targets.confounder_class[train.targets.observed_presence].numpy()
 
-    def per_experiment(correct: np.ndarray) -> np.ndarray:
-        presence = test.targets.observed_presence
-        scattered = torch.zeros(presence.shape, dtype=torch.float64)
-        scattered[presence] = torch.from_numpy(correct.astype(np.float64))
-        return over_objects(scattered, presence).numpy()
+    def per_slot(classes: np.ndarray) -> np.ndarray:
+        scattered = np.full((*presence.shape, *classes.shape[1:]), -1, dtype=np.int16)
+        scattered[presence] = classes
+        return scattered
 
-    def accuracy(name: str) -> np.ndarray:
-        values = np.unique(train_classes[name])
-        if len(values) == 1:  # a confounder that is a constant
-            return per_experiment(test_classes[name] == values[0])
+    def predict(classes: np.ndarray) -> np.ndarray:
+        if len(np.unique(classes)) == 1:  # a confounder that is a constant
+            return np.full(len(test_estimates), classes[0])
         classifier = make_pipeline(StandardScaler(), LogisticRegression(max_iter=1000))
-        classifier.fit(train_estimates, train_classes[name])
-        return per_experiment(classifier.predict(test_estimates) == test_classes[name])
+        return np.asarray(classifier.fit(train_estimates, classes).predict(test_estimates))
 
-    values, counts = np.unique(train_classes["mass and friction"], return_counts=True)
-    most_frequent = values[counts.argmax()]
+    combinations, index, counts = np.unique(train_classes, axis=0, return_inverse=True, return_counts=True)
     return {
-        "probe_accuracy": accuracy("mass and friction"),
-        "probe_mass_accuracy": accuracy("mass"),
-        "probe_friction_accuracy": accuracy("friction"),
-        "probe_chance": per_experiment(test_classes["mass and friction"] == most_frequent),
+        "confounder_class": per_slot(test.targets.confounder_class.numpy()[presence]),
+        "probe_mass_and_friction": per_slot(combinations[predict(index)]),
+        "probe_mass": per_slot(predict(train_classes[:, 0])),
+        "probe_friction": per_slot(predict(train_classes[:, 1])),
+        "probe_most_frequent": combinations[counts.argmax()].astype(np.int16),
     }
 
 
-def _classes(targets: Targets) -> dict[str, np.ndarray]:
-    """Return (object,) classes of mass, of friction, and of both together."""
-    classes = targets.confounder_class[targets.observed_presence].numpy()
-    mass, friction = classes.T
-    return {"mass": mass, "friction": friction, "mass and friction": mass * 1000 + friction}  # grids are smaller
+def probe_accuracies(probed: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return (experiment,) shares of objects of AB that are classified correctly, from the classes that `probe` returns.
+
+    Mass and friction together (`probe_accuracy`), each alone, and by always predicting the most frequent combination of the
+    training split (`probe_chance`).
+    """
+    true = probed["confounder_class"]
+    correct = {
+        "probe_accuracy": (probed["probe_mass_and_friction"] == true).all(axis=-1),
+        "probe_mass_accuracy": probed["probe_mass"] == true[..., 0],
+        "probe_friction_accuracy": probed["probe_friction"] == true[..., 1],
+        "probe_chance": (probed["probe_most_frequent"] == true).all(axis=-1),
+    }
+    return {name: mean_over_objects(each, true[..., 0] >= 0) for name, each in correct.items()}

@@ -30,6 +30,16 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 METRICS, PREDICTIONS, FAILURE = "metrics.json", "predictions.npz", "failure.json"  # in the directory of a run
+ARRAYS = {  # of predictions.npz: kinds of numbers, and axes: n experiments, t frames 1 … T-1, k slots; see `read_predictions`
+    **dict.fromkeys(("experiment", "pair", "cell"), ("iu", "n")),
+    **dict.fromkeys(("target", "position"), ("f", "n t k 3")),
+    **{"initial": ("f", "n k 3"), "presence": ("b", "n k"), "stable": ("b", "n t k")},
+}
+OPTIONAL_ARRAYS = {
+    **{"stable_logit": ("f", "n t|1 k"), "draw_variance": ("f", "n t k 3"), "estimate": ("f", "n k any")},
+    **dict.fromkeys(("confounder_class", "probe_mass_and_friction"), ("i", "n k 2")),
+    **{"probe_mass": ("i", "n k"), "probe_friction": ("i", "n k"), "probe_most_frequent": ("i", "2")},
+}
 SWEEP = "COPHY_SWEEP"  # environment variable: a unique name of the sweep that a run belongs to
 LOGGED = (  # metrics in the last line of a run's log
     *("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy"),
@@ -232,11 +242,13 @@ def write_predictions(directory: Path, arrays: Mapping[str, np.ndarray]) -> None
 
 
 def read_predictions(directory: Path) -> dict[str, np.ndarray]:
-    """Read predictions.npz of a run.
+    """Read predictions.npz of a run: all that the metrics of metrics.json are computed from (`cophy.scoring`).
 
     Returns:
-        position, target (experiment, T-1, K, 3) metres; initial (experiment, K, 3); presence (experiment, K); pair
-        (experiment,). Those of an oracle also have `draw_variance`, see `Prediction`.
+        Always: experiment (experiment,), indices in the dataset; position, target (experiment, T-1, K, 3), predicted and true
+        D, metres; initial (experiment, K, 3), C; presence (experiment, K); stable (experiment, T-1, K), true; pair and cell
+        (experiment,). Empty slots are zero. Where the model has them, see `Prediction`: stable_logit, draw_variance, and
+        estimate (experiment, K, any). Where the estimate was probed: the classes of `cophy.training.probe.probe`.
 
     Raises:
         CophyError: The file is missing or damaged.
@@ -244,8 +256,7 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
     path = directory / PREDICTIONS
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            optional = [name for name in ("draw_variance",) if name in file]
-            arrays = {name: file[name] for name in ("initial", "presence", "target", "position", "pair", *optional)}
+            arrays = {name: file[name] for name in (*ARRAYS, *(name for name in OPTIONAL_ARRAYS if name in file))}
         _check_arrays(arrays)
     except (OSError, ValueError, KeyError, EOFError, MemoryError, BadZipFile, zlib.error) as error:
         if isinstance(error, OSError) and error.errno not in (None, errno.ENOENT):
@@ -257,13 +268,18 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
 def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise ValueError if arrays do not have the shapes and types of one test split, or hold non-finite numbers."""
     count, steps, slots, _ = arrays["target"].shape
-    expected: dict[str, tuple[int, ...]] = dict.fromkeys(arrays, (count, steps, slots, 3))
-    expected |= {"initial": (count, slots, 3), "presence": (count, slots), "pair": (count,)}
-    wrong = [name for name, array in arrays.items() if array.shape != expected[name]]
-    if wrong or arrays["presence"].dtype != bool or not np.issubdtype(arrays["pair"].dtype, np.integer):
-        raise ValueError(f"shape or type of {', '.join(wrong) or 'presence or pair'}")
-    numbers = {name: array for name, array in arrays.items() if name not in ("presence", "pair")}
-    if wrong := [name for name, array in numbers.items() if array.dtype.kind != "f" or not np.isfinite(array).all()]:
+    sizes = {"n": {count}, "t": {steps}, "t|1": {steps, 1}, "k": {slots}, "2": {2}, "3": {3}}
+
+    def fits(array: np.ndarray, kinds: str, axes: str) -> bool:
+        names = axes.split()
+        if array.dtype.kind not in kinds or array.ndim != len(names):
+            return False
+        return all(name == "any" or size in sizes[name] for name, size in zip(names, array.shape, strict=True))
+
+    fields = ARRAYS | OPTIONAL_ARRAYS
+    if wrong := [name for name, array in arrays.items() if not fits(array, *fields[name])]:
+        raise ValueError(f"shape or type of {', '.join(wrong)}")
+    if wrong := [name for name, array in arrays.items() if not np.isfinite(array).all()]:
         raise ValueError(f"non-finite numbers in {', '.join(wrong)}")
 
 

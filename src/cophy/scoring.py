@@ -1,0 +1,363 @@
+"""Scores of predicted D against the truth. It needs NumPy arrays alone: no model, no torch and no configuration.
+
+Every experiment counts once, whatever its number of objects. Twins share A, C and the do-operation; only their confounders
+differ, which AB alone shows. A model that ignores AB predicts the same for both, so the metrics of twins measure what a model
+infers from AB, without any oracle.
+
+Axes: n experiments, in any order; T-1 steps (frames 1 … T-1); K slots. Metres. Values in empty slots do not count.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from cophy.bootstrap import Ratio, interval, mean
+from cophy.errors import CophyError
+
+PIXEL_ERROR_RESOLUTION = 448  # paper Table 1: pixel errors are given at 448 x 448
+
+
+class Projection(Protocol):
+    """A camera, such as `cophy.scenario.Camera`."""
+
+    def project(self, points: np.ndarray, resolution: int) -> np.ndarray:
+        """Project (..., 3) metres to (..., 2) pixels of a square image."""
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Predictions of D.
+
+    Attributes:
+        experiment: (n,) ids of the experiments.
+        position: (n, T-1, K, 3) positions.
+        stable_logit: (n, T-1, K), positive where an object is predicted to be stable; (n, 1, K) for one decision for the whole
+            sequence; None if stability is not predicted.
+        draw_variance: (n, T-1, K, 3) for Monte Carlo oracles, the sampling variance of `position`, m²; it is subtracted from
+            squared errors. None for all others.
+    """
+
+    experiment: np.ndarray
+    position: np.ndarray
+    stable_logit: np.ndarray | None = None
+    draw_variance: np.ndarray | None = None
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Predictions":
+        """Return the predictions of predictions.npz."""
+        optional = (arrays.get(name) for name in ("stable_logit", "draw_variance"))
+        return cls(arrays["experiment"], arrays["position"], *optional)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True outcomes of the experiments of a test split, and what their scenario says about metrics.
+
+    Attributes:
+        experiment: (n,) ids of the experiments, integers from 0.
+        position: (n, T-1, K, 3) positions in D.
+        stable: (n, T-1, K) bool, whether an object stays below the stable speed since the previous frame.
+        presence: (n, K) bool, which slots hold an object in C and D.
+        initial: (n, K, 3) positions in C.
+        pair: (n,) twin pair, equal for both twins; negative without a twin.
+        cell: (n,) index of the kind of experiment (`Scenario.cells`), for the scores of each, see `Scores.select`.
+        metric_dims: Number of coordinates that count (balls: x and y).
+        by_height: Whether pixel errors are also given per object, from the lowest in C up.
+        camera: Projects positions; None leaves out pixel errors.
+    """
+
+    experiment: np.ndarray
+    position: np.ndarray
+    stable: np.ndarray
+    presence: np.ndarray
+    initial: np.ndarray
+    pair: np.ndarray
+    cell: np.ndarray
+    metric_dims: int
+    by_height: bool = False
+    camera: Projection | None = None
+
+    @classmethod
+    def from_arrays(
+        cls,
+        arrays: Mapping[str, np.ndarray],
+        *,
+        metric_dims: int,
+        by_height: bool = False,
+        camera: Projection | None = None,
+    ) -> "Truth":
+        """Return the truth in predictions.npz."""
+        names = ("experiment", "stable", "presence", "initial", "pair", "cell")
+        return cls(
+            position=arrays["target"],
+            metric_dims=metric_dims,
+            by_height=by_height,
+            camera=camera,
+            **{name: arrays[name] for name in names},
+        )
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of each experiment.
+
+    Attributes:
+        experiment: (n,) ids of the experiments.
+        pair: (n,) twin pair; an experiment without a twin has a negative number of its own.
+        truth: (n,) sum of the true coordinates, m; it tells experiments of different data apart.
+        values: (n,) values of each measure, or (n, column); NaN if an experiment does not count.
+    """
+
+    experiment: np.ndarray
+    pair: np.ndarray
+    truth: np.ndarray
+    values: Mapping[str, np.ndarray | Ratio]
+
+    @property
+    def mse(self) -> np.ndarray:
+        """MSE of each experiment, m²."""
+        values = self.values["mse"]
+        assert isinstance(values, np.ndarray)
+        return values
+
+    def means(self) -> dict[str, float]:
+        """Return the mean of each measure."""
+        return {name: mean(values) for name, values in self.values.items()}
+
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """Return the 95 % bootstrap interval of each mean, over twin pairs."""
+        return {name: interval(values, self.pair) for name, values in self.values.items()}
+
+    def select(self, rows: np.ndarray) -> "Scores":
+        """Return the scores of some experiments, by index or mask."""
+        values = {
+            name: Ratio(*(part[rows] for part in value)) if isinstance(value, Ratio) else value[rows]
+            for name, value in self.values.items()
+        }
+        return Scores(self.experiment[rows], self.pair[rows], self.truth[rows], values)
+
+
+def score(predictions: Predictions, truth: Truth) -> Scores:
+    """Score predictions, which are matched with the truth by the ids of experiments.
+
+    Returns:
+        In the order of the truth:
+
+        - mse: m², over the coordinates that count, objects and steps (paper Tables 2-4).
+        - final_position_error: mean over objects of the Euclidean distance at the last step, m.
+        - pixel_error, with a camera: mean over objects of the distance in its image at the last step. If errors are given by
+          height, pixel_error_1 is that of the lowest object in C, and so on; pixel_error_by_height (n, height) has all of
+          them: its mean is the mean of the heights' means, as in the paper's Table 1.
+        - stability_accuracy, if stability is predicted: share of objects and steps for which it is right.
+          stability_base_rate: that of always predicting stable. sequence_stability_accuracy: share of objects for which
+          "stable at every step" is right (paper Table 6 right).
+        - twin_difference_explained, if there are twins: 1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|², where ΔP is the predicted difference
+          between twins and ΔD the true one. right_twin_chosen: 1 if a prediction is nearer to its own D than to the twin's,
+          ½ if equally near.
+
+    Raises:
+        CophyError: Experiments are missing, unknown or there twice; an array has a wrong shape or type; or a number of a
+            present object is not finite.
+    """
+    _check_truth(truth)
+    predicted, logit, variance = _aligned(predictions, truth)
+    presence, dims = truth.presence, truth.metric_dims
+    true = _present(truth.position, presence)
+    error = predicted - true
+    values: dict[str, np.ndarray | Ratio] = {
+        "mse": mean_squared_error(predicted, true, presence, dims, variance),
+        "final_position_error": mean_over_objects(np.linalg.norm(error[:, -1, :, :dims], axis=-1), presence),
+    }
+    if truth.camera is not None:
+        values |= _pixel_errors(truth.camera, predicted, true, truth)
+    if logit is not None:
+        values |= _stability(logit > 0, truth)
+    twin = twins_of(truth.pair)
+    if (twin != np.arange(len(twin))).any():
+        values |= _twin_measures(predicted[..., :dims], true[..., :dims], twin, variance[..., :dims])
+    pair = np.where(truth.pair < 0, -1 - truth.experiment, truth.pair)
+    return Scores(truth.experiment, pair, true.sum(axis=(1, 2, 3)), values)
+
+
+def average(scores: Sequence[Scores]) -> Scores:
+    """Return the mean of several scores of the same experiments, such as those of the seeds of a model."""
+    return _weighted_sum(scores, [1 / len(scores)] * len(scores))
+
+
+def compare(ours: Scores, others: Scores) -> Scores:
+    """Return the paired differences ours - others of all measures that both have; their intervals are those of the difference.
+
+    Raises:
+        CophyError: The scores are not of the same experiments in the same order.
+    """
+    return _weighted_sum([ours, others], [1.0, -1.0])
+
+
+def have_same_experiments(scores: Sequence[Scores]) -> bool:
+    """Return whether scores are of the same experiments of the same data, in the same order."""
+    names = ("experiment", "pair", "truth")
+    return all(np.array_equal(getattr(scores[0], name), getattr(each, name)) for each in scores[1:] for name in names)
+
+
+def mean_squared_error(
+    predicted: np.ndarray, true: np.ndarray, presence: np.ndarray, dims: int, variance: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Return the (n,) MSE in m² over the first `dims` coordinates of (n, T-1, K, 3) positions of present (n, K) objects.
+
+    The sampling variance of the predicted positions is subtracted: an unbiased estimate of the MSE of their exact mean.
+    """
+    squared = np.square(predicted.astype(np.float64) - true) - variance
+    return mean_over_objects(squared[..., :dims].mean(axis=(1, 3)), presence)
+
+
+def mean_over_objects(values: np.ndarray, presence: np.ndarray) -> np.ndarray:
+    """Return the (n,) mean of (n, K) values over the present objects of each experiment."""
+    return np.asarray(np.where(presence, values, 0.0).sum(axis=1) / presence.sum(axis=1))
+
+
+def twins_of(pair: np.ndarray) -> np.ndarray:
+    """Return the (n,) index of each experiment's twin; its own index without a twin."""
+    order = np.argsort(pair, kind="stable")
+    follows = np.flatnonzero((np.diff(pair[order]) == 0) & (pair[order][1:] >= 0))
+    twin, first, second = np.arange(len(pair)), order[follows], order[follows + 1]
+    twin[first], twin[second] = second, first
+    return twin
+
+
+def _pixel_errors(camera: Projection, predicted: np.ndarray, true: np.ndarray, truth: Truth) -> dict[str, np.ndarray]:
+    image, true_image = (camera.project(each[:, -1], PIXEL_ERROR_RESOLUTION) for each in (predicted, true))
+    distance = np.linalg.norm(image - true_image, axis=-1)
+    values = {"pixel_error": mean_over_objects(distance, truth.presence)}
+    if truth.by_height:
+        height, count = np.where(truth.presence, truth.initial[..., 2], np.inf), truth.presence.sum(axis=1)
+        from_below = np.take_along_axis(distance, height.argsort(axis=1, kind="stable"), axis=1)
+        ranks = np.arange(count.max())
+        by_height = np.where(ranks < count[:, None], from_below[:, : len(ranks)], np.nan)
+        values |= {f"pixel_error_{rank + 1}": by_height[:, rank] for rank in ranks}
+        values["pixel_error_by_height"] = by_height
+    return values
+
+
+def _stability(predicted: np.ndarray, truth: Truth) -> dict[str, np.ndarray]:
+    right, sequence_right = predicted == truth.stable, predicted.all(axis=1) == truth.stable.all(axis=1)
+    shares = {
+        "stability_accuracy": right.mean(axis=1),
+        "stability_base_rate": truth.stable.mean(axis=1),
+        "sequence_stability_accuracy": sequence_right,
+    }
+    return {name: mean_over_objects(share, truth.presence) for name, share in shares.items()}
+
+
+def _twin_measures(
+    predicted: np.ndarray, true: np.ndarray, twin: np.ndarray, variance: np.ndarray
+) -> dict[str, np.ndarray | Ratio]:
+    """Return the metrics of twins of (n, T-1, K, dims) positions, which are zero in empty slots."""
+    predicted_difference, difference = predicted - predicted[twin], true - true[twin]
+    same = ~predicted_difference.any(axis=(1, 2, 3))  # both twins share their samples
+    sampling = np.where(same, 0.0, (variance + variance[twin]).sum(axis=(1, 2, 3)))
+    size, error = _squared(difference), _squared(predicted_difference - difference) - sampling
+    distance, twin_distance = _squared(predicted - true), _squared(predicted - true[twin])
+    chosen = np.where(distance == twin_distance, 0.5, distance < twin_distance)
+    return {
+        "twin_difference_explained": Ratio(size - error, size),
+        "right_twin_chosen": np.where(twin == np.arange(len(twin)), np.nan, chosen),
+    }
+
+
+def _squared(difference: np.ndarray) -> np.ndarray:
+    return np.asarray(np.square(difference).sum(axis=(1, 2, 3)))
+
+
+def _present(values: np.ndarray, presence: np.ndarray) -> np.ndarray:
+    """Return (n, T-1, K, ...) values in double precision, zero in empty slots."""
+    return np.where(presence.reshape(len(presence), 1, -1, *[1] * (values.ndim - 3)), values.astype(np.float64), 0.0)
+
+
+def _aligned(predictions: Predictions, truth: Truth) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+    """Return positions, logits and variances in the order of the truth, zero in empty slots."""
+    rows, shape = _rows(predictions.experiment, truth.experiment), truth.position.shape
+    arrays = {name: getattr(predictions, name) for name in ("position", "stable_logit", "draw_variance")}
+    shapes = {name: [shape] for name in arrays} | {"stable_logit": [shape[:3], (shape[0], 1, shape[2])]}
+    aligned: dict[str, np.ndarray | None] = {}
+    for name, array in arrays.items():
+        if array is None:
+            aligned[name] = None
+            continue
+        if array.shape not in shapes[name] or array.dtype.kind != "f":
+            choices = " or ".join(map(str, shapes[name]))
+            raise CophyError(f"predictions: {name} is {array.dtype} of shape {array.shape}, not floats of {choices}")
+        aligned[name] = values = _present(array[rows], truth.presence)
+        finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        if not finite.all():
+            raise CophyError(
+                f"predictions: {name} of experiment {truth.experiment[finite.argmin()]} has non-finite values: "
+                "lower the learning rate, or look for a division by zero in the model"
+            )
+    position, variance = aligned["position"], aligned["draw_variance"]
+    assert position is not None
+    return position, aligned["stable_logit"], np.zeros_like(position) if variance is None else variance
+
+
+def _rows(predicted: np.ndarray, tested: np.ndarray) -> np.ndarray:
+    """Return the index of each tested experiment among the predicted ones."""
+    if predicted.ndim != 1 or predicted.dtype.kind not in "iu":
+        raise CophyError(
+            f"predictions: experiment is {predicted.dtype} of shape {predicted.shape}, not a list of integers"
+        )
+    ids, counts = np.unique(predicted, return_counts=True)
+    problems = {
+        "predicted twice": ids[counts > 1],
+        "not among those to be scored": np.setdiff1d(ids, tested),
+        "missing": np.setdiff1d(tested, ids),
+    }
+    for problem, wrong in problems.items():
+        if len(wrong):
+            raise CophyError(f"predictions: {len(wrong)} experiments are {problem}, the first is {wrong[0]}")
+    order = predicted.argsort()
+    return np.asarray(order[np.searchsorted(predicted, tested, sorter=order)])
+
+
+def _check_truth(truth: Truth) -> None:
+    """Raise CophyError if the arrays do not fit each other, or are no outcomes of experiments."""
+    if truth.position.ndim != 4 or not len(truth.position):
+        raise CophyError(f"truth: position has shape {truth.position.shape}, not (experiments, T-1, slots, 3)")
+    count, steps, slots, _ = truth.position.shape
+    expected = {
+        "experiment": ((count,), "iu"),
+        "position": ((count, steps, slots, 3), "f"),
+        "stable": ((count, steps, slots), "b"),
+        "presence": ((count, slots), "b"),
+        "initial": ((count, slots, 3), "f"),
+        "pair": ((count,), "iu"),
+        "cell": ((count,), "iu"),
+    }
+    for name, (shape, kinds) in expected.items():
+        array = getattr(truth, name)
+        if array.shape != shape or array.dtype.kind not in kinds:
+            raise CophyError(f"truth: {name} is {array.dtype} of shape {array.shape}, which does not fit {shape}")
+    present = truth.presence[:, None, :, None]
+    numbers = {"position": truth.position, "initial": truth.initial[:, None]}
+    if wrong := [name for name, array in numbers.items() if not np.isfinite(np.where(present, array, 0.0)).all()]:
+        raise CophyError(f"truth: {' and '.join(wrong)} has non-finite values")
+    if truth.experiment.min() < 0 or len(np.unique(truth.experiment)) < count:
+        raise CophyError("truth: the ids of experiments have to differ and to be at least 0")
+    if np.unique(truth.pair[truth.pair >= 0], return_counts=True)[1].max(initial=0) > 2:
+        raise CophyError("truth: a twin pair has more than two experiments")
+    if not truth.presence.any(axis=1).all():
+        raise CophyError("truth: an experiment has no object")
+
+
+def _weighted_sum(scores: Sequence[Scores], weights: Sequence[float]) -> Scores:
+    """Return weighted sums of the measures that all scores have. Ratios of the same truth have the same denominators."""
+    if not have_same_experiments(scores):
+        raise CophyError("only scores of the same experiments, in the same order, can be compared")
+
+    def weighted(parts: Sequence[Any]) -> Any:
+        if isinstance(parts[0], Ratio):
+            return Ratio(weighted([part.numerator for part in parts]), parts[0].denominator)
+        return sum(weight * part for weight, part in zip(weights, parts, strict=True))
+
+    shared = [name for name in scores[0].values if all(name in each.values for each in scores)]
+    return replace(scores[0], values={name: weighted([each.values[name] for each in scores]) for name in shared})
