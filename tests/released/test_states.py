@@ -27,11 +27,11 @@ def test_an_index_is_written_once_and_again_when_experiments_are_added(towers: C
 
 def test_only_the_same_lists_leave_test_experiments_unseen(towers: CoPhyTree) -> None:
     opened = states("cophy", "blocktower", towers.root)
-    assert opened.has_same_splits(num_experiments={}, data_seed=0, trained_on=[opened.id])
+    assert opened.has_same_splits(data_seed=0, trained_on=[opened.id])
     towers.lists("blocktowerCF", "_3_normal", train=["0", "3"], test=["1"])
     relisted = states("cophy", "blocktower", towers.root)
     assert relisted.directory == opened.directory
-    assert not relisted.has_same_splits(num_experiments={}, data_seed=0, trained_on=[opened.id])
+    assert not relisted.has_same_splits(data_seed=0, trained_on=[opened.id])
 
 
 def test_oracles_refuse_released_data(towers: CoPhyTree) -> None:

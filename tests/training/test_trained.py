@@ -128,7 +128,6 @@ def test_a_checkpoint_holds_what_a_derenderer_was_trained_on(tmp_path: Path) -> 
     [
         ({"split": {"name": "4to4", "test": {"num_objects": "many"}}}, "num_objects"),
         ({"num_objects": ["many"]}, "num_objects"),
-        ({"size": {"name": "tiny"}}, "num_experiments"),
         ({"model": {"_target_": DERENDERER, "slots": 4}}, "model.slots"),
         ({"trained_on": []}, "trained_on"),
         ({"render": RENDER | {"backend": "paper"}}, "Invalid value 'paper'"),
