@@ -118,7 +118,11 @@ def test_an_order_that_tells_outcomes_or_confounders_is_found(name: str) -> None
     count, rng = len(arrays["twin"]), np.random.default_rng(1)
     shuffled = rng.permutation(count)
     pair = rng.permutation(PAIRS)[arrays["twin"]]
-    arrays |= {"gravity": np.zeros((count, 3)), "split": np.zeros(count), "background_seed": rng.permutation(PAIRS)[pair]}
+    arrays |= {
+        "gravity": np.zeros((count, 3)),
+        "split": np.zeros(count),
+        "background_seed": rng.permutation(PAIRS)[pair],
+    }
     arrays |= {key: np.zeros(arrays["shape"].shape) for key in ("friction", "restitution")}
     arrays["mass"] = np.where(pair[:, None] // 10 % 2, 1.0, 2.0) * (arrays["object_index"] >= 0)
     in_random_order = arrays | {"experiment": shuffled, "twin": rng.permutation(PAIRS)[arrays["twin"]]}

@@ -115,6 +115,19 @@ def test_generate_refuses_the_split_of_another_scenario(tmp_path: Path) -> None:
     assert "split=3to4 does not go with balls: use 4to4, 4to2, 4to3, 4to5, 4to6" in printed
 
 
+def test_trees_are_fitted_and_validated(tiny_data: Path, tmp_path: Path) -> None:
+    arguments = ("scenario=collision", "model=trees_confounders", "model.num_trees=2", f"hydra.run.dir={tmp_path}")
+    train(*arguments, data=tiny_data)
+    content = json.loads((tmp_path / "metrics.json").read_text())
+    assert 0 < content["validation"]["val/mse"] < content["copies"]["copy_c"]
+    assert not list(tmp_path.rglob("*.ckpt"))
+
+
+def test_replay_is_for_collisions_only(tmp_path: Path) -> None:
+    printed = run("train", "scenario=balls", "model=replay", f"hydra.run.dir={tmp_path}", code=1)
+    assert "model=replay: it needs one impact of two objects, so use scenario=collision" in printed
+
+
 @pytest.mark.slow
 def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Path, tmp_path: Path) -> None:
     sweep = ("-m", f"hydra.sweep.dir={tmp_path}", "scenario=blocktower")
@@ -136,7 +149,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     assert "nowhere/blocktower/3-tiny-" in printed
     assert not (tmp_path / "elsewhere" / "difficulty.md").exists()
     row = next(line for line in markdown.splitlines() if line.startswith("| 3→3 "))
-    assert row.count("—") == 3 + 6 * 2  # IN, NPE, IN sup.; both alongside and oracles: no numbers in the paper either
+    assert row.count("—") == 3 + 9 * 2  # IN, NPE, IN sup.; those beyond the paper have no number there either
     assert "Size tiny: 34 training and 4 test experiments; 1 epochs; seeds 0." in markdown
     assert (
         (tmp_path / "report" / "blocktower.csv")

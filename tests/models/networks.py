@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from cophy.models import Alongside, CoPhyNet, CopyB, CopyC, InteractionNetwork
+from cophy.models import Alongside, CoPhyNet, CopyB, CopyC, DisplacedCopyB, InteractionNetwork
 from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, SLOT_AXIS, Batch, Inputs, Prediction, Targets
 
 NUM_FRAMES = 7
@@ -67,7 +67,7 @@ def build(name: str, **changes: Any) -> nn.Module:
         return InteractionNetwork(**IN | INTERACTION_NETWORKS[name] | changes)
     if name in ALONGSIDES:
         return Alongside(**ALONGSIDE | ALONGSIDES[name] | changes)
-    return {"copy_b": CopyB, "copy_c": CopyC}[name]()
+    return {"copy_b": CopyB, "copy_c": CopyC, "copy_b_displaced": DisplacedCopyB}[name]()
 
 
 def random_batch(num_slots: int, num_objects: list[int], num_frames: int = NUM_FRAMES) -> Batch:
@@ -106,7 +106,10 @@ def random_batch(num_slots: int, num_objects: list[int], num_frames: int = NUM_F
 def permute_slots(inputs: Inputs, order: list[int]) -> Inputs:
     """Return the same experiments with their slots in another order."""
     tensors = {field.name: getattr(inputs, field.name) for field in fields(inputs)}
-    return Inputs(**{name: t.index_select(SLOT_AXIS.get(name, 1), torch.tensor(order)) for name, t in tensors.items()})
+    index = torch.tensor(order)
+    return Inputs(
+        **{name: t if t is None else t.index_select(SLOT_AXIS.get(name, 1), index) for name, t in tensors.items()}
+    )
 
 
 def present_positions(prediction: Prediction, inputs: Inputs) -> Tensor:

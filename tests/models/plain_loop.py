@@ -136,7 +136,10 @@ def interaction_network(network: InteractionNetwork, inputs: Inputs) -> tuple[Te
     """Predict one experiment with IN or NPE. Returns positions (steps, K, 3)."""
     objects = present(inputs.presence)
     features = appearance(network, inputs)
-    confounders = {k: inputs.confounders[0, k, : network.num_confounders] if network.num_confounders else torch.zeros(0) for k in objects}
+    confounders = {
+        k: inputs.confounders[0, k, : network.num_confounders] if network.num_confounders else torch.zeros(0)
+        for k in objects
+    }
     position, positions = {k: inputs.initial[0, k] for k in objects}, []
     displacement = {k: torch.zeros(3) for k in objects}
     for _ in range(inputs.num_steps):

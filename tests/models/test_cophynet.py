@@ -41,7 +41,10 @@ def test_an_object_that_is_certainly_stable_does_not_move(inputs: Inputs) -> Non
         ({"temperature": -1.0}, r"model.temperature=-1\.0 must be positive"),
         ({"temperature": float("nan")}, "model.temperature=nan must be positive"),
         ({"gating": "often"}, "model.gating=often must be one of per_step, static"),
-        ({"confounders": "guessed"}, "model.confounders=guessed must be one of estimated, ground_truth, without_pose, none"),
+        (
+            {"confounders": "guessed"},
+            "model.confounders=guessed must be one of estimated, ground_truth, without_pose, none",
+        ),
         ({"interaction": "mlp"}, "model.interaction=mlp needs model.slots"),
         ({"decoding": "single_step"}, "model.decoding=single_step needs model.num_frames"),
     ],

@@ -28,7 +28,7 @@ def batch() -> Batch:
     return random_batch(4, [4, 3, 2, 3])
 
 
-@pytest.mark.parametrize("name", [name for name in TRAINED if name != "mlp"])
+@pytest.mark.parametrize("name", [*(name for name in TRAINED if name != "mlp"), "copy_b_displaced"])
 def test_permuting_objects_permutes_the_prediction(name: str, batch: Batch) -> None:
     network, inputs, order = build(name, **SEES_APPEARANCE), batch.inputs, [2, 0, 3, 1]
     expected = present_positions(network(inputs), inputs)[:, :, order]
@@ -45,7 +45,7 @@ def test_an_mlp_over_slots_is_not_equivariant(batch: Batch) -> None:
     assert difference.abs().max() > 0.01
 
 
-@pytest.mark.parametrize("name", [*TRAINED, "copy_b", "copy_c"])
+@pytest.mark.parametrize("name", [*TRAINED, "copy_b", "copy_b_displaced", "copy_c"])
 def test_absent_objects_change_nothing(name: str, batch: Batch) -> None:
     inputs = batch.inputs
     network = build(name, **SEES_APPEARANCE)

@@ -62,7 +62,9 @@ def check_stored_order(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     predicted = np.zeros_like(labels)
     with threadpool_limits(1):
         for train, test in GroupKFold(NUM_FOLDS).split(features, groups=twin):
-            trees = ExtraTreesClassifier(NUM_TREES, max_features=None, random_state=0).fit(features[train], labels[train])
+            trees = ExtraTreesClassifier(NUM_TREES, max_features=None, random_state=0).fit(
+                features[train], labels[train]
+            )
             predicted[test] = trees.predict(features[test])
     accuracy = (predicted == labels).mean(axis=0)
     chance = np.array([np.bincount(column).max() / len(column) for column in labels.T])

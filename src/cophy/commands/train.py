@@ -79,7 +79,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
         run: Names and directory.
 
     Returns:
-        Validation metrics of the tested weights; empty with trainer.fast_dev_run and for models without parameters.
+        Validation metrics of the tested model; empty with trainer.fast_dev_run and for oracles.
     """
     import lightning as L
     import torch
@@ -130,8 +130,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
             facts, tested = start.finished, start.checkpoint
             # also draws the validation figures of a training that is not repeated
             validation = trainer.validate(module, data, ckpt_path=tested, weights_only=True, verbose=False)
-            if config.predictor is not None:
-                facts["validation"] = dict(validation[0])
+            facts["validation"] = facts["validation"] or dict(validation[0])
         trainer.test(module, data, ckpt_path=tested, weights_only=True, verbose=False)
 
         if config.trainer.fast_dev_run:

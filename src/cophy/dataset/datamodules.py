@@ -125,6 +125,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         train, val, test: The three splits, after `setup`.
         test_experiments: (experiment,) index of each test experiment in its dataset.
         knows_confounders: Whether the data contain all true confounders.
+        confounder_statistics: Their mean and standard deviation over the training split.
     """
 
     def __init__(
@@ -211,8 +212,11 @@ class CounterfactualDataModule(L.LightningDataModule):
             raise CophyError(
                 f"{self.train_set.directory} does not contain all true confounders, which this run needs: use other data"
             )
-        statistics = confounder_statistics(features["train"], torch.from_numpy(arrays["train"]["presence"][:, 0]))
-        to_split = partial(to_batch, scenario=self.scenario, declared=self.declared, statistics=statistics)
+        present = torch.from_numpy(arrays["train"]["presence"][:, 0])
+        self.confounder_statistics = confounder_statistics(features["train"], present)
+        to_split = partial(
+            to_batch, scenario=self.scenario, declared=self.declared, statistics=self.confounder_statistics
+        )
         self.train, self.val, self.test = (
             CounterfactualDataset(to_split(arrays[split], estimated=split in self.estimated)) for split in SPLITS
         )

@@ -12,9 +12,22 @@ _MODULES = {
     "CopyB": "baselines",
     "CopyC": "baselines",
     "Derenderer": "derenderer",
+    "DisplacedCopyB": "baselines",
     "InteractionNetwork": "baselines",
+    "Replay": "baselines",
+    "Trees": "trees",
 }
-__all__ = ["Alongside", "CoPhyNet", "CopyB", "CopyC", "Derenderer", "InteractionNetwork"]
+__all__ = [
+    "Alongside",
+    "CoPhyNet",
+    "CopyB",
+    "CopyC",
+    "Derenderer",
+    "DisplacedCopyB",
+    "InteractionNetwork",
+    "Replay",
+    "Trees",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,10 +1,15 @@
-"""Baselines: copy C, copy B, the Interaction Network (IN) and the Neural Physics Engine (NPE)."""
+"""Baselines: copy C, copy B, replay of AB, the Interaction Network (IN) and the Neural Physics Engine (NPE)."""
 
+from dataclasses import replace
 from enum import Enum
+from typing import NamedTuple
 
 import torch
-from torch import nn
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+from torch.nn.functional import one_hot
 
+from cophy.errors import CophyError
 from cophy.models.layers import (
     Appearance,
     PairwiseMLP,
@@ -37,6 +42,151 @@ class CopyB(nn.Module):
         position = torch.where(seen[..., None], inputs.observed[:, 1:], inputs.initial[:, None])
         stable = inputs.observed_stable | (inputs.presence[:, None] & ~seen)
         return Prediction(position, stable_logit=2 * stable.to(position.dtype) - 1)
+
+
+class DisplacedCopyB(CopyB):
+    """Copy B, shifted by the do-operation: an object that C displaces moves as in AB, from its new position."""
+
+    def forward(self, inputs: Inputs) -> Prediction:
+        """Add C - A of each object to copy B; it is zero except for a displaced object."""
+        copy = super().forward(inputs)
+        both = (inputs.presence & inputs.observed_presence)[..., None]
+        displacement = torch.where(both, inputs.initial - inputs.observed[:, 0], 0.0)
+        return replace(copy, position=copy.position + displacement[:, None])
+
+
+class Contact(NamedTuple):
+    """Where two discs first touch if the moving one keeps its heading. Lengths in metres; (x, y) of the moving, then the static.
+
+    Attributes:
+        distance: How far the moving one goes until then.
+        hits: Whether they touch.
+        position: Their positions then.
+        axes: Unit vectors along and across the line of centres, from the moving one to the static one.
+    """
+
+    distance: Float[Tensor, "batch 1"]
+    hits: Bool[Tensor, "batch 1"]
+    position: Float[Tensor, "batch 2 2"]
+    axes: Float[Tensor, "batch 2 2"]
+
+
+def find_contact(start: Float[Tensor, "batch 2 2"], heading: Float[Tensor, "batch 2"], diameter: float) -> Contact:
+    """Return the contact of two discs, the first of which moves along the heading, a unit vector."""
+    across = rotate_quarter(heading)
+    between = start[:, 1] - start[:, 0]
+    ahead, offset = ((between * each).sum(dim=-1, keepdim=True) for each in (heading, across))
+    depth = (diameter**2 - offset.square()).clamp(min=0).sqrt()
+    line = (depth * heading + offset.clamp(-diameter, diameter) * across) / diameter
+    position = torch.stack([start[:, 0] + (ahead - depth) * heading, start[:, 1]], dim=1)
+    axes = torch.stack([line, rotate_quarter(line)], dim=1)
+    return Contact(ahead - depth, (offset.abs() < diameter) & (ahead > 0), position, axes)
+
+
+def rotate_quarter(vector: Float[Tensor, "*any 2"]) -> Float[Tensor, "*any 2"]:
+    """Rotate by 90° to the left."""
+    return torch.stack([-vector[..., 1], vector[..., 0]], dim=-1)
+
+
+class Replay(nn.Module):
+    """Replay of AB for collisions: AB's response in the frame of its line of centres, applied to C's.
+
+    The moving object of AB goes straight on in C until the objects touch. From then on, with n along the line of centres, t
+    across it, u the unit vector of the heading, and AB and D relative to the positions at the contact,
+
+        D_n = u_n^C AB_n / u_n^A        D_t = u_t^C (u_t^A AB_t + ε² P) / ((u_t^A)² + ε²)
+
+    at equal times after it. A head-on AB does not show the response across, so that it is shrunk towards a prior P: the
+    moving object keeps a share of its speed, the other one gets none.
+    """
+
+    def __init__(self, *, diameter: float | None, kept_speed: float, shrinkage: float) -> None:
+        """Store the arguments.
+
+        Args:
+            diameter: Of both objects, metres; None in a scenario without collisions of two objects.
+            kept_speed: Share of the moving object's speed across the line of centres in the prior.
+            shrinkage: ε, the sine of the angle of impact in AB at which the prior counts as much as AB.
+
+        Raises:
+            CophyError: The scenario is another one, or an argument is out of its range.
+        """
+        super().__init__()
+        if diameter is None:
+            raise CophyError("model=replay: it needs one impact of two objects, so use scenario=collision")
+        check_positive(diameter=diameter, kept_speed=kept_speed, shrinkage=shrinkage)
+        self.diameter, self.kept_speed, self.shrinkage = diameter, kept_speed, shrinkage
+
+    def forward(self, inputs: Inputs) -> Prediction:
+        """Replay AB; where it shows no impact of two objects, predict displaced copy B."""
+        copy = DisplacedCopyB()(inputs).position
+        both = inputs.presence & inputs.observed_presence
+        step = torch.where(both[..., None], inputs.observed[:, 1] - inputs.observed[:, 0], 0.0)[..., :2]
+        moving = one_hot(step.norm(dim=-1).argmax(dim=1), both.shape[1]).bool()
+        slots = torch.stack([moving, both & ~moving], dim=1).long().argmax(dim=-1)  # of the moving, the static object
+        ab, c = (_objects(each, slots) for each in (inputs.observed, inputs.initial[:, None]))
+
+        velocity = ab[:, 1, 0] - ab[:, 0, 0]  # metres per frame
+        speed = velocity.norm(dim=-1, keepdim=True).clamp(min=torch.finfo(velocity.dtype).tiny)
+        heading = velocity / speed
+        a_contact, c_contact = (find_contact(each[:, 0], heading, self.diameter) for each in (ab, c))
+        frames = torch.arange(1, inputs.num_steps + 1, device=c.device)
+        after = frames - c_contact.distance / speed  # frames since the contact
+        response = _at(ab, after + a_contact.distance / speed) - a_contact.position[:, None]
+        response = self._transferred(response, after * speed, a_contact.axes, c_contact.axes, heading)
+
+        has_touched = ((after > 0) & c_contact.hits)[..., None, None]
+        free = c + torch.stack(
+            [frames[:, None] * velocity[:, None], torch.zeros_like(after)[..., None].expand(-1, -1, 2)], dim=2
+        )
+        position = torch.where(has_touched, c_contact.position[:, None] + response, free)
+        is_impact = (both.sum(dim=1, keepdim=True) == 2) & a_contact.hits
+        position = torch.where(is_impact[..., None, None], position, _objects(copy, slots))
+        index = slots[:, None, :, None].expand_as(position)
+        return Prediction(torch.cat([copy[..., :2].scatter(2, index, position), copy[..., 2:]], dim=-1))
+
+    def _transferred(
+        self,
+        response: Float[Tensor, "batch steps 2 2"],
+        path: Float[Tensor, "batch steps"],
+        a_axes: Float[Tensor, "batch 2 2"],
+        c_axes: Float[Tensor, "batch 2 2"],
+        heading: Float[Tensor, "batch 2"],
+    ) -> Float[Tensor, "batch steps 2 2"]:
+        """Turn AB's response, displacements of both objects since the contact, into that of C.
+
+        Args:
+            path: How far the moving object would have gone without the contact, metres.
+        """
+        along, across = torch.einsum("bij,bsoj->ibso", a_axes, response)
+        (a_along, a_across), (c_along, c_across) = (
+            torch.einsum("bij,bj->ib", axes, heading)[..., None, None] for axes in (a_axes, c_axes)
+        )
+        prior = self.kept_speed * torch.stack([path, torch.zeros_like(path)], dim=-1)
+        along = c_along * along / a_along.clamp(min=self.shrinkage)
+        weight = self.shrinkage**2
+        across = c_across * (a_across * across + weight * prior) / (a_across.square() + weight)
+        return torch.einsum("bij,ibso->bsoj", c_axes, torch.stack([along, across]))
+
+
+def _objects(
+    position: Float[Tensor, "batch time slots 3"], slots: Int[Tensor, "batch 2"]
+) -> Float[Tensor, "batch time 2 2"]:
+    """Return x and y of two objects, given their slots."""
+    index = slots[:, None, :, None].expand(-1, position.shape[1], -1, 2)
+    return position[..., :2].gather(2, index)
+
+
+def _at(
+    positions: Float[Tensor, "batch time 2 2"], frame: Float[Tensor, "batch steps"]
+) -> Float[Tensor, "batch steps 2 2"]:
+    """Interpolate positions at fractional frames; before the first and after the last one, they rest."""
+    last = positions.shape[1] - 1
+    frame = frame.clamp(0, last)
+    earlier = frame.long().clamp(max=last - 1)
+    fraction = (frame - earlier)[..., None, None]
+    start, end = (positions.gather(1, index[..., None, None].expand(-1, -1, 2, 2)) for index in (earlier, earlier + 1))
+    return torch.lerp(start, end, fraction)
 
 
 class ConfounderInput(Enum):

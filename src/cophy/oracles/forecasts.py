@@ -162,7 +162,9 @@ class OracleForecasts(ShardSet):
                 ),
                 "double_rate": Hypotheses.certain(finer.simulate(simulator, do_operation.apply(twin.scene))),
                 "jitter": Hypotheses.certain(
-                    scenario.simulate(simulator, _jittered(do_operation.apply(twin.scene), np.random.default_rng((4, index))))
+                    scenario.simulate(
+                        simulator, _jittered(do_operation.apply(twin.scene), np.random.default_rng((4, index)))
+                    )
                 ),
             }
 

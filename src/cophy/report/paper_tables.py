@@ -13,6 +13,7 @@ import yaml
 from hydra.core.config_store import ConfigStore
 
 TRUE_POSITIONS, ESTIMATED_IN_TESTING = "ground_truth", "train_ground_truth_test_derendered"
+SIMULATED = ("oracle_", "noise_floor")  # how the names of models of cophy.oracles begin
 
 
 @dataclass(frozen=True)
@@ -36,15 +37,20 @@ class Method:
 
     @property
     def is_oracle(self) -> bool:
-        """Whether it simulates (`cophy.oracles`), always from true positions."""
+        """Whether it is one of the oracles of docs/benchmark/metrics.md."""
         return self.model is not None and self.model.startswith("oracle_")
+
+    @property
+    def simulates(self) -> bool:
+        """Whether it is an oracle or a noise floor (`cophy.oracles`), always from true positions."""
+        return self.model is not None and self.model.startswith(SIMULATED)
 
     def keys(self) -> dict[str, str]:
         """Return what a row or column of the method adds to the names of its runs."""
         if self.model is None:
             return {"participants": str(self.participants)}
         return {"model": self.model, "ablation": self.ablation} | (
-            {"positions": TRUE_POSITIONS} if self.is_oracle else {}
+            {"positions": TRUE_POSITIONS} if self.simulates else {}
         )
 
 
@@ -97,7 +103,7 @@ class PaperTable:
         cells = [names for _, _, names, _ in self.cells()] + list(self.controls.values())
         sweep = {"scenario": self.select["scenario"], "split": _joined(cells, "split")}
         methods = {method.name: None for method in self.methods.values() if method.model} or {"cophynet": None}
-        positions = _joined([names for names in cells if not names.get("model", "").startswith("oracle_")], "positions")
+        positions = _joined([names for names in cells if not names.get("model", "").startswith(SIMULATED)], "positions")
         return sweep | {"+row": ",".join(methods)} | ({"positions": positions} if positions != TRUE_POSITIONS else {})
 
 
@@ -180,7 +186,7 @@ def _table(
             axes[name] = {
                 label: (keys, method)
                 for label, (keys, method) in axis.items()
-                if method is None or not (method.is_oracle or method.participants)
+                if method is None or not (method.simulates or method.participants)
             }
     compared = {
         name: {label: method for label, (_, method) in axis.items() if method is not None}

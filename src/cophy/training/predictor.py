@@ -14,6 +14,7 @@ from torchmetrics import MetricCollection
 from cophy.dataset.datamodules import CounterfactualDataModule, DeviceShare
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyB, CopyC
+from cophy.models.trees import Trees
 from cophy.scenario import Scenario
 from cophy.scoring import Predictions, Truth, score
 from cophy.training.augmentation import add_position_noise, augment, matrices_of
@@ -120,10 +121,12 @@ class PredictionModule(L.LightningModule):
         self.scenario = scenario
 
     def setup(self, stage: str) -> None:
-        """Take from the training data where missed objects are predicted."""
+        """Take from the training data where missed objects are predicted, and fit trees."""
         data = getattr(self.trainer, "datamodule", None)
         if isinstance(data, CounterfactualDataModule):
             self.missed_position.copy_(data.mean_position)
+            if isinstance(self.network, Trees) and self.network.regressor is None:
+                self.network.fit(data.train.batch, self.scenario, data.confounder_statistics, self.seed)
 
     def make_figures(self, every_n_epochs: int) -> L.Callback:
         """Return the callback that draws validation examples."""
