@@ -1,8 +1,8 @@
 """Rewrite what the documentation takes from data: python docs/generate.py [--check]
 
 Tables between `<!-- generated: NAME -->` and `<!-- end of generated: NAME -->`, in README.md, checkpoints/README.md and docs/, and
-the plots of docs/figures. They are made from docs/results/results.csv, the paper's numbers (paper_tables.yaml),
-docs/cophy/claims.yaml, docs/results/columns.csv and checkpoints/index.csv. With --check nothing is written; the command names
+the plots of docs/figures. They are made from docs/results/format_3.csv, docs/results/results.csv (runs on data of format 4), the
+paper's numbers (paper_tables.yaml), docs/cophy/claims.yaml, docs/results/columns.csv and checkpoints/index.csv. With --check nothing is written; the command names
 what differs, and exits with 1.
 """
 
@@ -39,6 +39,14 @@ from cophy.report.paper_tables import ESTIMATED_IN_TESTING, PaperTable, paper_ta
 BLOCK = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end of generated: \1 -->", re.DOTALL)
 NOTHING = "–"
 PREDICTED = (*COPIES, *LEARNED, "alongside_noisy", "cophynet_feedforward", "in_sup", *ORACLES)
+FORMAT_4 = ROOT / "docs" / "results" / "results.csv"
+HEADLINES = [
+    ("blocktower", "3to3"),
+    ("balls", "4to4"),
+    *(("collision", split) for split in ("all", "sphere_to_cylinder", "cylinder_to_sphere")),
+]
+BASELINES = ("copy_c", "copy_b", "copy_b_displaced", "replay", "trees")
+TOLD_MORE = ("in_sup", "in_without_pose", "trees_confounders", "noise_floor_rate", "noise_floor_jitter", *ORACLES)
 README_COLUMNS = [
     ("blocktower", "3to3"),
     ("blocktower", "3to4"),
@@ -57,7 +65,7 @@ def main() -> None:
     """Write or check every page and plot."""
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 and name what differs")
-    parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results" / "results.csv", help="the table")
+    parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results" / "format_3.csv", help="the table")
     arguments = parser.parse_args()
     results = Results(arguments.results)
     if different := [*update_pages(results, arguments.check), *update_plots(results, arguments.check)]:
@@ -98,6 +106,7 @@ def update_plots(results: Results, check: bool) -> Iterator[str]:
 def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
     """Return the generated blocks by name."""
     estimated = {"size": "small", "positions": ESTIMATED_IN_TESTING}
+    format_4 = Results(FORMAT_4)
     seen_in_training = {**columns("blocktower"), "3to3_seen": "3→3, seen"}
     return {
         **{f"leaderboard_{scenario}": partial(leaderboard, results, scenario) for scenario in SCENARIOS},
@@ -134,7 +143,8 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "alongside_parts": partial(alongside_parts, results),
         "alongside_positions": partial(alongside_positions, results),
         "claims": partial(claims, results),
-        "checkpoints": partial(checkpoints, results),
+        "format_4": partial(headlines, format_4),
+        "checkpoints": partial(checkpoints, format_4),
         "columns": column_meanings,
     }
 
@@ -261,6 +271,31 @@ def of_paper_cell(results: Results, table: PaperTable, names: dict[str, str], nu
         return cell.short(digits, table.scale)
     printed = f"{number:g}" if names["metric"].startswith("pixel") else f"{number:.{digits}f}"
     return cell.short(digits, table.scale) + f" *({printed})*"
+
+
+def headlines(results: Results) -> str:
+    """A table per split of size=small, with both data seeds."""
+    measures = {"mse": (3, 1), "twin_difference_explained": (0, 100), "share": (0, 100)}
+    parts = []
+    for scenario, split in HEADLINES:
+        rows = []
+        for method in (*BASELINES, *LEARNED, *TOLD_MORE):
+            cells = {
+                (measure, seed): results.cell(measure, scenario, split, method, size="small", change=change)
+                for measure in measures
+                for seed, change in enumerate(("", r"\+data_seed-1"))
+            }
+            texts = [cell.full(*measures[measure]) if cell else NOTHING for (measure, _), cell in cells.items()]
+            trained = [cell for (measure, _), cell in cells.items() if measure == "mse" and cell]
+            spread = ", ".join(f"{cell.deviation:.3f}" for cell in trained if cell.seeds > 1) or NOTHING
+            if trained:
+                rows.append([title(method), *texts, str(max(cell.seeds for cell in trained)), spread])
+        names = ["MSE, m²", "twins, %", "share, %"]
+        head = [f"{SCENARIOS[scenario]} {columns(scenario)[split]}"]
+        head += [f"{name}, data seed {seed}" for name in names for seed in (0, 1)]
+        if rows:
+            parts.append(markdown([*head, "seeds", "sd of the MSE"], rows))
+    return "\n\n".join(parts)
 
 
 def learning_curves(results: Results) -> str:

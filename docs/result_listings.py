@@ -16,7 +16,7 @@ def checkpoints(results: Results) -> str:
     """The published weights; those whose row of results.csv is another training are marked."""
     rows = []
     for line in read_csv(ROOT / "checkpoints" / "index.csv"):
-        runs = results.of(line["scenario"], line["split"], line["method"], r"(\+learning_rate-.*)?")
+        runs = results.of(line["scenario"], line["split"], line["method"], r"(\+learning_rate-.*)?", size="small")
         same = f"{next(run['mse'] for run in runs if run['seed'] == 0):.4f}" == line["test_mse"]
         rows.append(
             [f"`{line['file']}`", line["sha256"][:8], f"`{line['choice']}`", line["test_mse"] + ("" if same else " ᶜ")]

@@ -26,6 +26,7 @@ NAMES = ["scenario", "split", "model", "ablation", "positions", "size", "variant
 KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
 SAME_RUN = [*KEY, "predictor", "training_seconds", "mse"]  # the seconds of two trainings differ
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
+DATA_KEYS = r"\+(size|data_seed)-\w+"  # parts of a variant that only say which data a run is on
 TESTED = ["scenario", "split", "datasets"]  # what a run and the oracles that it is compared with have in common
 SHARE = ["share", "share_low", "share_high"]
 # paper Table 1: mean of the heights, then from top to bottom
@@ -78,9 +79,7 @@ def shares(tested: pd.DataFrame) -> list[list[float]]:
 
     Of oracles with settings of their own there is none.
     """
-    plain = tested[
-        [variant in ("", f"+size-{size}") for variant, size in zip(tested["variant"], tested["size"], strict=True)]
-    ]
+    plain = tested[tested["variant"].str.replace(DATA_KEYS, "", regex=True) == ""]
     ends = [[stored_scores(run) for run in plain[plain["model"] == model].to_dict("records")] for model in ENDS]
     return [list(share_of_gain([stored_scores(run)], *ends)) for run in tested.to_dict("records")]
 

@@ -217,7 +217,8 @@ def test_every_number_of_the_paper_has_a_cell_and_no_other_table() -> None:
         assert all(len(row) == len(table.columns) for row in table.paper)
     assert TABLES["stability"].paper[4] == [85.4, 77.3]
     assert TABLES["blocktower"].paper[5][:6] == [0.480, 0.618, 0.342, 0.350, 0.301, 0.297]
-    assert TABLES["collision_derendered"].paper[2][5:] == [0.586, None, None]
+    assert TABLES["collision_derendered"].paper[2][5] == 0.586
+    assert set(TABLES["collision_derendered"].paper[2][6:]) == {None}
     assert TABLES["human_comparison_derendered"].paper[0] == [65.41, 25.51, 7.36, 32.76]
 
 
