@@ -34,7 +34,9 @@ def measure() -> list[Measured]:
 def write_runs(outputs: Path) -> None:
     """Write metrics.json and predictions.npz of all runs in docs/results."""
     data = ComposedData("generated", Path("data"))
-    runs = pd.concat([pd.read_csv(ROOT / "docs" / "results" / f"{name}.csv") for name in ("results", "format_3", "superseded")])
+    runs = pd.concat(
+        [pd.read_csv(ROOT / "docs" / "results" / f"{name}.csv") for name in ("results", "format_3", "superseded")]
+    )
     columns = [str(column) for column in runs]
     metrics = [column.removesuffix("_low") for column in columns if column.endswith("_low") and column != "share_low"]
     for line in runs.to_dict("records"):

@@ -67,7 +67,13 @@ def test_a_changed_number_is_found_in_every_table_and_plot(generate: ModuleType,
 def test_the_command_rewrites_what_differs(
     generate: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("README.md", "checkpoints/README.md", "checkpoints/index.csv", "docs/results/results.csv", "docs/benchmark/leaderboard.md"):
+    for name in (
+        "README.md",
+        "checkpoints/README.md",
+        "checkpoints/index.csv",
+        "docs/results/results.csv",
+        "docs/benchmark/leaderboard.md",
+    ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(ROOT / name, tmp_path / name)
     monkeypatch.setattr(generate, "ROOT", tmp_path)

@@ -1,8 +1,6 @@
 """Draw experiments and predictions: python docs/figures/draw_results.py [--size small] [--data-dir data]
 
-Missing data are generated first. Predictors are those of checkpoints/, which were trained at size=paper. The same experiments come
-first at every size, and most test experiments of a smaller size are training experiments of size=paper. So predictions are of
-those experiments that belong to the test split of size=paper.
+Missing data are generated first. Predictors are those of checkpoints/; predictions are of the test split.
 """
 
 import io
@@ -21,9 +19,9 @@ from scipy.stats import bootstrap
 
 import cophy
 from cophy.bootstrap import NUM_RESAMPLES
-from cophy.config import settings
 from cophy.dataset.datamodules import ExperimentDataset
-from cophy.dataset.splits import SPLITS, split_of_experiments
+from cophy.dataset.difficulty import twin_differences
+from cophy.dataset.splits import SPLITS
 from cophy.drawing.overview import NO_BREAK, Descriptions
 from cophy.drawing.plots import error_over_time
 from cophy.drawing.sheets import REACH, CloseUp, resize, side_by_side, window_of_motion
@@ -40,11 +38,7 @@ LABELS = {"blocktower": "towers", "balls": "balls", "collision": "collisions"}
 TITLES = {"blocktower": "towers of three", "balls": "four balls", "collision": "collisions"}
 METHODS = {"copy C": "#8a8f98", "IN": "#d08a1d", "CoPhyNet": "#1f5fa8", "alongside": "#1d7a3d"}
 LEARNED = {"IN": "in", "CoPhyNet": "cophynet", "alongside": "alongside"}  # method -> end of the checkpoint's name
-EXPERIMENTS = {
-    "blocktower": 4,
-    "balls": 32,
-    "collision": 40,
-}  # of the gallery and the clips: D of the twins differ much
+SHOWN_QUANTILE = 0.9  # of the differences between the D of twins: the pair of the gallery and the clips
 PERCENTILES = {"good": 10, "median": 50, "bad": 90}
 OBSERVED, COUNTERFACTUAL, INK = "#1f5fa8", "#a8561f", "#1c1f24"
 WIDTH_IN, DPI = 7, 200  # 100 pixels of the page per inch
@@ -75,16 +69,24 @@ class Held:
         return mean_squared_error(predicted, self.true, self.presence, self.dims)
 
 
+def twins_together(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the arrays with twins next to each other: they share A and C."""
+    starts = arrays["states"][:, :, 0].reshape(len(arrays["split"]), -1)
+    order = np.argsort(np.unique(starts, axis=0, return_inverse=True)[1].ravel(), kind="stable")
+    return {name: array[order] for name, array in arrays.items()}
+
+
+def shown(arrays: dict[str, np.ndarray]) -> int:
+    """Return the experiment of the gallery and the clips, whose twin is the next one."""
+    difference = twin_differences(arrays)[:, 1]
+    return 2 * int(np.abs(difference - np.quantile(difference, SHOWN_QUANTILE)).argmin())
+
+
 def held_out(data: ExperimentDataset) -> Held:
-    """Select the experiments of the test split of size=paper."""
-    scenario, objects = data.scenario, int(data.arrays["presence"][0, 0].sum())
-    count = settings("train", f"scenario={scenario.name}", "size=paper").size.num_experiments[scenario.name][
-        str(objects)
-    ]
-    rows = np.flatnonzero(split_of_experiments(count, 0)[: len(data)] == SPLITS.index("test"))
-    arrays = {name: array[rows] for name, array in data.arrays.items()}
-    positions = arrays["states"][:, 1, :: scenario.clock.states_per_frame, :, :3]
-    return Held(arrays, positions[:, 1:], scenario.task.metric_dims)
+    """Select the experiments of the test split."""
+    arrays = {name: array[data.arrays["split"] == SPLITS.index("test")] for name, array in data.arrays.items()}
+    positions = arrays["states"][:, 1, :: data.scenario.clock.states_per_frame, :, :3]
+    return Held(arrays, positions[:, 1:], data.scenario.task.metric_dims)
 
 
 def predict(name: str, held: Held) -> dict[str, np.ndarray]:
@@ -116,7 +118,7 @@ def gallery(data: dict[str, ExperimentDataset]) -> Figure:
     for axis, title in zip(axes[0], ("A", "B", "C", "D", "D of the twin"), strict=True):
         axis.set_title(title, fontsize=10, pad=4, color=OBSERVED if title in "AB" else COUNTERFACTUAL)
     for row, (name, dataset) in zip(axes, data.items(), strict=True):
-        scenario, arrays, experiment = dataset.scenario, dataset.arrays, EXPERIMENTS[name]
+        scenario, arrays, experiment = dataset.scenario, dataset.arrays, shown(dataset.arrays)
         pair = [experiment, experiment + 1]
         close_up = CloseUp(scenario, arrays, pair, CELL)
         ab, cd = (frames.rgb for frames in close_up.frames(experiment, [0, -1]))
@@ -265,7 +267,10 @@ def clip(dataset: ExperimentDataset, experiment: int) -> bytes:
 def load(size: str, data_dir: Path) -> dict[str, ExperimentDataset]:
     """Return the dataset of each scenario."""
     register()
-    return {name: cophy.load(name, split=None, size=size, data_dir=data_dir) for name in RUNS}
+    datasets = {name: cophy.load(name, split=None, size=size, data_dir=data_dir) for name in RUNS}
+    for dataset in datasets.values():
+        dataset.arrays = twins_together(dataset.arrays)
+    return datasets
 
 
 def figures(data: dict[str, ExperimentDataset]) -> dict[str, Figure]:
@@ -292,6 +297,6 @@ if __name__ == "__main__":
     options = parser.parse_args()
     datasets = load(options.size, options.data_dir)
     for name, dataset in datasets.items():
-        (HERE / f"{name}.gif").write_bytes(clip(dataset, EXPERIMENTS[name]))
+        (HERE / f"{name}.gif").write_bytes(clip(dataset, shown(dataset.arrays)))
     for name, figure in figures(datasets).items():
         save(HERE / f"{name}.png", figure)
