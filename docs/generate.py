@@ -207,7 +207,7 @@ def readme(results: Results) -> str:
     return markdown(
         header,
         [
-            [title(method), *(cell.number() if cell else NOTHING for cell in row)]
+            [title(method), *(cell.marked() if cell else NOTHING for cell in row)]
             for method, row in zip(README_METHODS, cells, strict=True)
         ],
     )

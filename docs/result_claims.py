@@ -1,4 +1,4 @@
-"""The table of the paper's claims, from cophy/claims.yaml: numbers and counts come from results.csv."""
+"""The table of the paper's claims, from cophy/claims.yaml: numbers and counts come from format_3.csv."""
 
 import re
 from collections.abc import Mapping
@@ -7,10 +7,12 @@ import yaml
 from result_runs import COLUMNS, ROOT, Results, markdown, published
 
 PERCENT = ("twin_difference_explained", "right_twin_chosen", "share", "sequence_stability_accuracy", "probe_accuracy")
+SIDES = {1: "for", -1: "against", 0: "open"}
+VERDICTS = REPRODUCED, NOT_REPRODUCED, CANNOT_BE_TOLD = "reproduced", "not reproduced", "cannot be told"
 
 
 def claims(results: Results) -> str:
-    """Return the table; the verdict of a comparison is computed."""
+    """Return the table; the verdict of a comparison is computed, unless the claim has one."""
     rows = []
     for claim in yaml.safe_load((ROOT / "docs" / "cophy" / "claims.yaml").read_text()):
         facts = {"paper": "–"} | (compared(results, **claim["compare"]) if "compare" in claim else {}) | claim
@@ -22,38 +24,46 @@ def claims(results: Results) -> str:
 def compared(
     results: Results, method: str, than: list[str], columns: list[str] | None = None, measure: str = "mse", **names: str
 ) -> dict[str, str]:
-    """Count the columns and methods in which the 95 % interval of a method lies wholly on the better side of the other's.
+    """Count the columns and methods in which a method is better or worse than another.
 
     Args:
         results: The runs.
         method, than: What is compared with what.
-        columns: `scenario split`; all of Tables 2 to 4 by default.
-        measure: Column of results.csv.
+        columns: `scenario split`, or a scenario for all of its columns; all of Tables 2 to 4 by default.
+        measure: Column of the table of runs.
         names: Further names of both runs.
     """
-    places = (
-        [column.split() for column in columns] if columns else [[scenario, split] for scenario, split, _ in COLUMNS]
-    )
+    places = [
+        place
+        for column in columns or dict.fromkeys(scenario for scenario, _, _ in COLUMNS)
+        for place in [[scenario, split] for scenario, split, _ in COLUMNS if scenario == column] or [column.split()]
+    ]
     pairs = [(place, other) for place in places for other in than]
-    won = sum(is_better(results, measure, method, other, place, names) for place, other in pairs)
-    facts = {
-        "won": f"{won} of {len(pairs)}",
-        "verdict": "✓" if won == len(pairs) else "~" if 2 * won >= len(pairs) else "✗",
-    }
+    sides = [side(results, measure, method, other, place, names) for place, other in pairs]
+    facts = {"counts": counted(sides), "verdict": verdict(sides)}
     printed = [(published(*place, method), published(*place, other)) for place, other in pairs]
     if measure == "mse" and all(None not in numbers for numbers in printed):
-        facts["paper"] = f"{sum(one < two for one, two in printed)} of {len(pairs)}"
+        facts["paper"] = counted([1 if one < two else -1 for one, two in printed])
     return facts
 
 
-def is_better(
-    results: Results, measure: str, method: str, other: str, place: list[str], names: Mapping[str, str]
-) -> bool:
-    """Whether two intervals do not overlap, and the method's is on the better side."""
+def side(results: Results, measure: str, method: str, other: str, place: list[str], names: Mapping[str, str]) -> int:
+    """Return 1 if all intervals of a method's seeds are on the better side of the other's, -1 on the worse one, else 0."""
     one, two = (results.cell(measure, *place, name, **names) for name in (method, other))
     if one is None or two is None:
         raise SystemExit(f"claims.yaml: no {measure} of {method} or {other} on {' '.join(place)}")
-    return one.low > two.high if measure in PERCENT else one.high < two.low
+    lower, higher = (two, one) if measure in PERCENT else (one, two)
+    return int(lower.highest < higher.lowest) - int(higher.highest < lower.lowest)
+
+
+def counted(sides: list[int]) -> str:
+    """Return how many comparisons are for and against a claim, and how many are open."""
+    return ", ".join(f"{sides.count(side)} {name}" for side, name in SIDES.items() if side in sides)
+
+
+def verdict(sides: list[int]) -> str:
+    """Return whether all comparisons are for a claim, or some are against it."""
+    return NOT_REPRODUCED if -1 in sides else CANNOT_BE_TOLD if 0 in sides else REPRODUCED
 
 
 def value(results: Results, words: str, facts: Mapping[str, str]) -> str:
@@ -64,4 +74,4 @@ def value(results: Results, words: str, facts: Mapping[str, str]) -> str:
     cell = results.cell(measure, scenario, split, method, **dict(other.split("=", 1) for other in others))
     if cell is None:
         raise SystemExit(f"claims.yaml: no run of {words}")
-    return f"{cell.number(0, 100)} %" if measure in PERCENT else cell.number(1 if measure.startswith("pixel") else 3)
+    return f"{cell.marked(0, 100)} %" if measure in PERCENT else cell.marked(1 if measure.startswith("pixel") else 3)

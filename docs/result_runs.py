@@ -28,11 +28,13 @@ Run = dict[str, Any]
 
 @dataclass(frozen=True)
 class Cell:
-    """Mean over training seeds, mean of the 95 % intervals, and the standard deviation over seeds."""
+    """Mean over training seeds, mean of the 95 % intervals, their outermost ends, and the standard deviation over seeds."""
 
     value: float
     low: float | None
     high: float | None
+    lowest: float
+    highest: float
     deviation: float
     seeds: int
     mark: str = ""
@@ -41,10 +43,14 @@ class Cell:
         """Return the value alone."""
         return f"{round(scale * self.value, digits) + 0.0:.{digits}f}"
 
+    def marked(self, digits: int = 3, scale: float = 1) -> str:
+        """Return the value with its number of seeds."""
+        return f"{self.number(digits, scale)}{superscript(self.seeds)}{self.mark}"
+
     def short(self, digits: int = 3, scale: float = 1) -> str:
         """Return the value with its number of seeds, and half of its interval."""
         half = "" if self.low is None or self.high is None else f" ±{scale * (self.high - self.low) / 2:.{digits}f}"
-        return f"{self.number(digits, scale)}{superscript(self.seeds)}{self.mark}{half.replace('±0.', '±.')}"
+        return f"{self.marked(digits, scale)}{half.replace('±0.', '±.')}"
 
     def full(self, digits: int = 3, scale: float = 1) -> str:
         """Return the value with its interval; an interval without width is left out."""
@@ -116,13 +122,11 @@ def cell_of(runs: list[Run], measure: str, mark: str = "") -> Cell | None:
             raise SystemExit(
                 f"results.csv: runs of several {shared} cannot be averaged: {[known[0][name] for name in NAMES]}"
             )
-    values = [run[measure] for run in known]
-    low, high = (fmean(run[f"{measure}_{end}"] for run in known) for end in ("low", "high"))
-    has_interval = low == low and high == high
+    values, lows, highs = ([run[measure + end] for run in known] for end in ("", "_low", "_high"))
+    low, high = fmean(lows), fmean(highs)
+    interval = (low, high) if low == low and high == high else (None, None)
     deviation = stdev(values) if len(values) > 1 else 0.0
-    return Cell(
-        fmean(values), low if has_interval else None, high if has_interval else None, deviation, len(known), mark
-    )
+    return Cell(fmean(values), *interval, min(lows), max(highs), deviation, len(known), mark)
 
 
 def columns(scenario: str) -> dict[str, str]:

@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import importlib
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -106,10 +107,37 @@ def test_seeds_on_other_data_are_not_averaged(generate: ModuleType, tmp_path: Pa
 
 def test_a_comparison_counts_intervals_that_do_not_overlap(generate: ModuleType, tmp_path: Path) -> None:
     claims: Any = importlib.import_module("result_claims")
-    names = {"method": "cophynet", "than": ["alongside"], "columns": ["collision all", "blocktower 4to4"]}
-    assert claims.compared(generate.Results(TABLE), **names) == {"won": "0 of 2", "verdict": "✗"}
-    table = changed(tmp_path / "results.csv", "9", mse_low="8", mse_high="10")
-    assert claims.compared(generate.Results(table), **names) == {"won": "1 of 2", "verdict": "~"}
+    better = {"method": "alongside", "than": ["cophynet"], "columns": ["collision all", "blocktower 4to4"]}
+    worse = {"method": "cophynet", "than": ["alongside"], "columns": ["collision"]}
+    results = generate.Results(TABLE)
+    assert claims.compared(results, **better) == {"counts": "2 for", "verdict": "reproduced"}
+    assert claims.compared(results, **worse) == {"counts": "3 against", "verdict": "not reproduced"}
+    one_seed_failed = generate.Results(changed(tmp_path / "results.csv", "9", mse_low="8", mse_high="10"))
+    assert claims.compared(one_seed_failed, **better) == {"counts": "1 for, 1 open", "verdict": "cannot be told"}
+    assert claims.compared(one_seed_failed, **worse) == {"counts": "2 against, 1 open", "verdict": "not reproduced"}
+
+
+def test_of_a_share_the_higher_is_better(generate: ModuleType) -> None:
+    claims: Any = importlib.import_module("result_claims")
+    names = {"method": "alongside", "than": ["cophynet"], "columns": ["collision all"]}
+    assert claims.compared(generate.Results(TABLE), **names, measure="share")["verdict"] == "reproduced"
+
+
+def test_the_interval_of_a_comparison_covers_all_seeds(generate: ModuleType) -> None:
+    """The supervised training on 3→4 is apart from the mean of CoPhyNet's intervals, but not from one of its seeds."""
+    claims: Any = importlib.import_module("result_claims")
+    results, place = generate.Results(TABLE), ["blocktower", "3to4"]
+    one, two = (results.cell("mse", *place, name) for name in ("cophynet", "cophynet_supervised_confounders"))
+    assert (one.seeds, two.seeds) == (3, 1)
+    assert one.high < two.low < one.highest
+    assert claims.side(results, "mse", "cophynet", "cophynet_supervised_confounders", place, {}) == 0
+
+
+def test_every_verdict_is_one_of_three(generate: ModuleType) -> None:
+    claims: Any = importlib.import_module("result_claims")
+    page = (ROOT / "docs" / "cophy" / "claims.md").read_text()
+    tables = page[page.index("## Claims about models") :]
+    assert {*re.findall(r"\| ([^|]*) \|$", tables, re.MULTILINE)} - {"verdict"} == set(claims.VERDICTS)
 
 
 def test_every_column_has_a_meaning() -> None:
