@@ -80,7 +80,7 @@ def data(tiny_data: Path) -> ComposedData:
 
 
 def write_answers(
-    outputs: Path, *descriptions: str, experiment: int = 2, kind: str = "person", name: str = "x"
+    outputs: Path, *descriptions: str, experiment: int = 4, kind: str = "person", name: str = "x"
 ) -> None:
     """Write studies 0, 1, …: one participant of each clicked (10, 20) for slot 0 of an experiment."""
     path = outputs / "study" / name / "answers.sqlite"

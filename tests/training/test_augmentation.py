@@ -50,7 +50,7 @@ def test_a_turned_scene_moves_as_the_turned_prediction_says(
     """What augmentation relies on: simulating the turned scene gives the turned trajectory, until chaos sets in."""
     scenario: Scenario = scenario_of(name)
     distances = []
-    for index in range(4):
+    for index in range(8):
         experiment, _ = scenario.twin_pair(num_objects, data_seed=3, pair=index, simulator=simulator)
         start = slice(0, 20)  # the first second
         for matrix in some(scenario.augmentations()):
