@@ -17,6 +17,7 @@ from cophy.config import generated_by, settings
 from cophy.dataset.difficulty import stands, twin_differences
 from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.states import sort_by_twins
 from cophy.models.baselines import CopyB, CopyC
 from cophy.scenario import Simulator
 from cophy.schemas import register
@@ -34,7 +35,9 @@ def main(*overrides: str) -> None:
     register()
     columns = {}
     for states in generated_by(settings("generate", *overrides)):
-        columns[f"{states.spec.scenario.name}, {states.spec.num_objects}"] = dict(lines(states.load(), states.spec))
+        columns[f"{states.spec.scenario.name}, {states.spec.num_objects}"] = dict(
+            lines(sort_by_twins(states.load(), states.spec), states.spec)
+        )
     print(pd.DataFrame(columns).fillna("—").to_markdown())
 
 
@@ -50,9 +53,9 @@ def lines(arrays: Arrays, spec: DatasetSpec) -> Lines:
         yield f"cell {cell}", f"{(arrays['cell'] == number).mean():.1%}"
     if spec.scenario.statics is not None:
         yield from tower_outcomes(arrays, spec, spec.scenario.statics.fallen_distance)
-    yield "simulations per experiment", f"{arrays['pair_simulations'][::2].sum() / spec.num_experiments:.2f}"
     with Simulator() as simulator:
         yield f"CPU-s per experiment, of {SAMPLE} regenerated", f"{seconds(spec, simulator):.3f}"
+        yield f"simulations per experiment, of {SAMPLE} regenerated", f"{simulator.num_simulations / SAMPLE:.2f}"
         rows = np.linspace(0, spec.num_experiments - 1, SAMPLE).astype(int).tolist()
         changes = np.quantile(effect_of_double_rate(arrays, spec, rows, simulator), (0.5, 0.9))
         yield f"CD with the solver's rate doubled, of {SAMPLE}: median, 90 % (m)", "{:.3f}, {:.3f}".format(*changes)

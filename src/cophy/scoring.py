@@ -177,7 +177,7 @@ def score(predictions: Predictions, truth: Truth) -> Scores:
     twin = twins_of(truth.pair)
     if (twin != np.arange(len(twin))).any():
         values |= _twin_measures(predicted[..., :dims], true[..., :dims], twin, variance[..., :dims])
-    pair = np.where(truth.pair < 0, -1 - truth.experiment, truth.pair)
+    pair = np.where(truth.pair < 0, -1 - truth.experiment.astype(np.int64), truth.pair)
     return Scores(truth.experiment, pair, true.sum(axis=(1, 2, 3)), values)
 
 

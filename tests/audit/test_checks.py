@@ -47,7 +47,7 @@ def collisions(tiny_data: Path) -> Dataset:
         ("split", check_twins, "twins share everything except confounders"),
         ("do_slot", check_twins, "twins share everything except confounders"),
         ("split", check_twins, "train : val : test, by twin pair"),
-        ("cell", check_twins, "confounders and do-operation match the index"),
+        ("cell", check_twins, "confounders, do-operation and cell follow from the seed"),
         ("configuration", check_states, "confounders match the configuration"),
         ("mass", check_states, "confounders match the configuration"),
         ("gravity", check_states, "confounders match the configuration"),
@@ -64,7 +64,7 @@ def test_a_wrong_value_of_the_first_experiment_fails(tiny, name: str, check: Any
 @pytest.mark.parametrize(
     ("name", "index", "value", "line"),
     [
-        ("seen", (5,), None, "confounders and do-operation match the index"),
+        ("seen", (5,), None, "confounders, do-operation and cell follow from the seed"),
         ("gravity", (5, 2), -5.0, "confounders match the configuration"),
         ("mass", None, 10.0, "states are finite, empty slots zero"),
     ],

@@ -179,7 +179,7 @@ def _check_index(arrays: Arrays, spec: DatasetSpec) -> Check:
         stored = tuple(int(arrays[name][row]) for name in ("configuration", "do_operation", "cell"))
         if stored != expected or int(arrays["configuration"][row + 1]) not in assignment.seconds:
             wrong.append(row)
-    return check_all("confounders and do-operation match the index", wrong)
+    return check_all("confounders, do-operation and cell follow from the seed", wrong)
 
 
 def _check_held_out(arrays: Arrays, spec: DatasetSpec) -> Check:

@@ -245,7 +245,8 @@ class CounterfactualDataModule(L.LightningDataModule):
             return rows
         if self.num_experiments > len(rows):
             raise CophyError(f"training.num_experiments={self.num_experiments}: there are {len(rows)} to train on")
-        return rows[: self.num_experiments]
+        pairs = np.argsort(stored[experiments.id]["twin"][rows], kind="stable")  # whole twin pairs, in random order
+        return rows[pairs[: self.num_experiments]]
 
     def _set_of(self, split: str) -> ExperimentSet:
         return self.test_set if split == "test" else self.train_set

@@ -45,7 +45,7 @@ def _from_start(arrays: Arrays) -> np.ndarray:
 
 
 def difficulty(arrays: Arrays, spec: DatasetSpec) -> Arrays:
-    """Return (experiment,) values by name, for a whole dataset (`States.load`).
+    """Return (experiment,) values by name, for a whole dataset (`sort_by_twins`).
 
     - cell, do_operation: names of the cell and of the kind of do-operation.
     - twins (if twins have different cells): names of both twins' cells.

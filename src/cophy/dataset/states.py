@@ -274,10 +274,10 @@ class States(ExperimentSet):
         return {"simulations": simulator.num_simulations}
 
     def write_manifest(self) -> None:
-        super().write_manifest()
         tested = np.flatnonzero(self.spec.order.split == SPLITS.index("test"))
         lines = ["experiment,twin", *(f"{index},{self.spec.order.pair[index]}" for index in tested)]
         write_atomically(self.directory / TEST_TWINS, ("\n".join(lines) + "\n").encode())
+        super().write_manifest()  # last: it says that the dataset is finished
         self.write_card(f"not run yet, `{self.command_for('audit')}`")
 
     def write_card(self, audit: str) -> None:

@@ -188,7 +188,7 @@ def _check_origin(origin: Any, source: Path) -> dict[str, Any]:
         raise misfit(source, error) from error
     if origin["source"].get("name") == "generated" and origin["format"] != FORMAT_VERSION:
         raise CophyError(
-            f"{source} was trained on data of format {origin['format']}, and this version makes format {FORMAT_VERSION}: "
+            f"{source} was trained by an earlier version (data of format {origin['format']}, now {FORMAT_VERSION}): "
             "train it again (docs/reference/upgrading.md)"
         )
     return dict(_with_current_names(origin))
