@@ -62,7 +62,7 @@ def test_confounders_of_another_experiment_fail(tiny, other: int) -> None:
     swapped = with_confounders_swapped(arrays, 0, other)
     assert not failing(check_states(swapped, spec)) - {"no sequence gains energy"}
     assert SAME_BYTES in failing_of_first_pair(swapped, spec)
-    assert "confounders and do-operation match the index" in failing(check_twins(swapped, spec))
+    assert "confounders, do-operation and cell follow from the seed" in failing(check_twins(swapped, spec))
     if spec.scenario.name == "blocktower" and other == 1:
         lines = failing(check_towers(swapped, spec, spec.scenario.statics))
         assert "statics agree with the stored outcomes" in lines
