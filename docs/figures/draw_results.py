@@ -1,6 +1,6 @@
 """Draw experiments and predictions: python docs/figures/draw_results.py [--size small] [--data-dir data]
 
-Missing data are generated first. Predictors are those of checkpoints/; predictions are of the test split.
+Missing data are generated first. The predictors in checkpoints/ predict the test split.
 """
 
 import io

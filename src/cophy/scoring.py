@@ -196,7 +196,7 @@ def compare(ours: Scores, others: Scores) -> Scores:
 
 
 def have_same_experiments(scores: Sequence[Scores]) -> bool:
-    """Return whether scores are of the same experiments of the same data, in the same order."""
+    """Return whether all scores have the same experiments, from the same data, in the same order."""
     names = ("experiment", "pair", "truth")
     return all(np.array_equal(getattr(scores[0], name), getattr(each, name)) for each in scores[1:] for name in names)
 

@@ -138,6 +138,7 @@ def test_true_confounders_are_needed_only_where_they_are_enabled(tiny_batch: Tin
         ({"num_trees": 0}, "model.num_trees=0 must be at least 1"),
         ({"min_samples_leaf": 0}, "model.min_samples_leaf=0 must be at least 1"),
         ({"confounders": "estimated"}, "model.confounders=estimated must be one of ground_truth"),
+        ({"confounders": "without_pose"}, "model.confounders=without_pose: statics needs the yaw"),
     ],
 )
 def test_arguments_out_of_range_are_refused(arguments: dict, message: str) -> None:

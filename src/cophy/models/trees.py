@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from cophy.errors import CophyError
 from cophy.models.baselines import ConfounderInput
 from cophy.models.layers import check_at_least, parse_option
 from cophy.scenario import Collision, Scenario
@@ -47,8 +48,10 @@ class Trees(nn.Module):
         """
         super().__init__()
         check_at_least(1, num_trees=num_trees, min_samples_leaf=min_samples_leaf)
-        if confounders is not None:
-            parse_option(ConfounderInput, "confounders", confounders)
+        if confounders is not None and parse_option(ConfounderInput, "confounders", confounders).width < len(
+            CONFOUNDERS
+        ):
+            raise CophyError("model.confounders=without_pose: statics needs the yaw of the blocks; use ground_truth")
         self.num_trees, self.min_samples_leaf = num_trees, min_samples_leaf
         self.sees_confounders = confounders is not None
 

@@ -1,8 +1,9 @@
 """What each twin pair of a dataset must be: confounders, cell, do-operation; and which confounders † splits hold out.
 
 Training, validation and test are balanced, each by construction. Consecutive pairs (of one half, where † splits hold out a
-half) form a block, which shares one pair of confounder configurations and one kind of do-operation. A scenario has one or several kinds of block, used in turn; each lists the cells of its pairs. In
-every block, both configurations have every outcome equally often, so no value of a confounder predicts the outcome.
+half) form a block, which shares one pair of confounder configurations and one kind of do-operation. A scenario has one or
+several kinds of block, used in turn; each lists the cells of its pairs. In every block, both configurations have every
+outcome equally often, so no value of a confounder predicts the outcome.
 """
 
 import math

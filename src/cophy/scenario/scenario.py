@@ -193,9 +193,8 @@ class Scenario(ABC):
         if num_objects not in self.num_objects:
             raise CophyError(f"num_objects={num_objects} must be one of {self.num_objects} in scenario={self.name}")
         assignment = self.assignment(num_objects, data_seed=data_seed, series=series, pair=pair)
-        rng = np.random.default_rng(
-            (data_seed, num_objects, series, pair)
-        )  # so no scene of K objects is part of one of K + 1
+        # with the number of objects, so that no scene of K objects is part of one of K + 1
+        rng = np.random.default_rng((data_seed, num_objects, series, pair))
         slots = tuple(int(slot) for slot in rng.permutation(self.num_slots)[:num_objects])
         background_seed = int(rng.integers(2**31))
         twins = self.search(assignment, slots, rng, simulator)
