@@ -11,7 +11,7 @@ def test_experiments_that_do_not_count_are_left_out() -> None:
 
 
 def test_the_interval_covers_the_mean_as_often_as_it_says() -> None:
-    """Also where twins err alike: it is over pairs."""
+    """Also where the experiments of a cluster err alike."""
     rng = np.random.default_rng(0)
     for alike in (1, 2):
         samples = (np.repeat(rng.exponential(1.0, 200 // alike), alike) for _ in range(300))
@@ -22,13 +22,13 @@ def test_the_interval_covers_the_mean_as_often_as_it_says() -> None:
 def test_the_interval_leaves_out_what_does_not_count() -> None:
     values = np.random.default_rng(0).normal(size=400)
     holes = np.concatenate([values, np.full(40, np.nan)])
-    pairs = np.arange(440) // 2
-    assert interval(holes, pairs) == pytest.approx(interval(values, pairs[:400]))
+    clusters = np.arange(440) // 2
+    assert interval(holes, clusters) == pytest.approx(interval(values, clusters[:400]))
 
 
-def test_items_of_a_pair_are_resampled_together_however_many_there_are() -> None:
-    pairs = np.array([0, 0, 0, 7, 7])
-    assert interval(np.array([1.0, 1.0, 1.0, 2.0, 2.0]), pairs) == (1.0, 2.0)
+def test_items_of_a_cluster_are_resampled_together_however_many_there_are() -> None:
+    clusters = np.array([0, 0, 0, 7, 7])
+    assert interval(np.array([1.0, 1.0, 1.0, 2.0, 2.0]), clusters) == (1.0, 2.0)
     assert interval(np.array([1.0, 2.0, 3.0]), np.zeros(3, dtype=int)) == (2.0, 2.0)
 
 
@@ -47,12 +47,12 @@ def test_columns_weigh_the_same_however_many_experiments_they_have() -> None:
     """Table 1: of 100 towers half have no top block; the mean is that of the top's mean and the bottom's."""
     rng = np.random.default_rng(0)
     bottom, top = rng.normal(1.0, 0.1, 100), np.where(np.arange(100) % 4 < 2, rng.normal(9.0, 3.0, 100), np.nan)
-    both, pairs = np.stack([bottom, top], axis=1), np.arange(100) // 2
+    both, clusters = np.stack([bottom, top], axis=1), np.arange(100) // 2
     assert mean(both) == pytest.approx((bottom.mean() + np.nanmean(top)) / 2)
-    ends, ends_of_top = interval(both, pairs), interval(top, pairs)
+    ends, ends_of_top = interval(both, clusters), interval(top, clusters)
     assert ends[0] < mean(both) < ends[1]
     assert ends[1] - ends[0] == pytest.approx((ends_of_top[1] - ends_of_top[0]) / 2, rel=0.2)
-    assert interval(bottom[:, None], pairs) == pytest.approx(interval(bottom, pairs))
+    assert interval(bottom[:, None], clusters) == pytest.approx(interval(bottom, clusters))
 
 
 def test_a_draw_without_a_rare_column_is_of_the_others() -> None:

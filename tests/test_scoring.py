@@ -27,6 +27,7 @@ def truth(**changes: Any) -> Truth:
         presence=np.array([[True, True], [False, True]]),
         initial=np.array([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]]),
         pair=np.array([-1, -1]),
+        cluster=np.array([-1, -1]),
         cell=np.array([2, 0]),
         metric_dims=3,
         by_height=True,
@@ -62,6 +63,7 @@ def four(**changes: Any) -> Truth:
         presence=np.array([[True, False]] * 4),
         initial=np.zeros((4, 2, 3)),
         pair=np.array([8, 3, 8, 3]),
+        cluster=np.array([8, 3, 8, 3]),
         cell=np.array([0, 0, 1, 1]),
         metric_dims=3,
     )
@@ -128,14 +130,14 @@ def test_the_right_twin_is_the_nearer_one() -> None:
 
 
 def test_an_experiment_without_its_twin_does_not_count_for_twins() -> None:
-    scores = score(along_x(0.0, 5.0, 1.0, 5.0), four(pair=np.array([8, 3, 8, -1])))
+    scores = score(along_x(0.0, 5.0, 1.0, 5.0), four(pair=np.array([8, 3, 8, -1]), cluster=np.array([8, 3, 8, -1])))
     assert values_of(scores, "right_twin_chosen") == pytest.approx([1.0, np.nan, 0.5, np.nan], nan_ok=True)
     assert scores.means()["twin_difference_explained"] == pytest.approx(1 - 1 / 4)
-    assert scores.pair.tolist() == [8, 3, 8, -4]
+    assert scores.cluster.tolist() == [8, 3, 8, -4]
     for pair in ([-1, -1, -1, -1], [0, 1, 2, 3]):
-        alone = score(along_x(0.0, 5.0, 1.0, 5.0), four(pair=np.array(pair)))
+        alone = score(along_x(0.0, 5.0, 1.0, 5.0), four(pair=np.array(pair), cluster=np.array(pair)))
         assert list(alone.values) == ["mse", "final_position_error"]
-        assert len(set(alone.pair.tolist())) == 4  # each is resampled by itself
+        assert len(set(alone.cluster.tolist())) == 4  # each is resampled by itself
 
 
 def test_the_sampling_variance_is_subtracted() -> None:
@@ -150,23 +152,32 @@ def test_the_sampling_variance_is_subtracted() -> None:
 
 
 def test_the_order_of_rows_is_irrelevant() -> None:
-    expected, order = score(predictions(), truth(pair=np.array([4, 4]))), np.array([1, 0])
+    expected, order = score(predictions(), truth(pair=np.array([4, 4]), cluster=np.array([4, 4]))), np.array([1, 0])
     turned = Predictions(*(getattr(predictions(), name)[order] for name in ("experiment", "position", "stable_logit")))
-    for name, value in score(turned, truth(pair=np.array([4, 4]))).values.items():
+    for name, value in score(turned, truth(pair=np.array([4, 4]), cluster=np.array([4, 4]))).values.items():
         np.testing.assert_array_equal(value, expected.values[name])
     scores = score(along_x(0.0, 5.0, 1.0, 5.0), four())
     mixed = np.array([3, 0, 1, 2])
-    names = ("experiment", "position", "stable", "presence", "initial", "pair", "cell")
+    names = ("experiment", "position", "stable", "presence", "initial", "pair", "cluster", "cell")
     permuted = score(along_x(0.0, 5.0, 1.0, 5.0), four(**{name: getattr(four(), name)[mixed] for name in names}))
     assert permuted.experiment.tolist() == mixed.tolist()
     assert values_of(permuted, "mse") == [values_of(scores, "mse")[row] for row in mixed]
     assert permuted.means() == pytest.approx(scores.means())
 
 
-def test_intervals_resample_twin_pairs() -> None:
-    scores = score(along_x(0.0, 5.0, 1.0, 5.0), four())
+def test_intervals_resample_clusters() -> None:
+    predicted = along_x(0.0, 5.0, 1.0, 5.0)
+    scores = score(predicted, four())
     pairs = np.array([scores.mse[[0, 2]].mean(), scores.mse[[1, 3]].mean()])
     assert scores.intervals()["mse"] == pytest.approx((pairs.min(), pairs.max()))
+    together = score(predicted, four(cluster=np.array([5, 5, 5, 5])))
+    assert together.means() == scores.means()
+    assert together.intervals()["mse"] == pytest.approx((pairs.mean(), pairs.mean()))
+
+
+def test_twins_are_in_one_cluster() -> None:
+    with pytest.raises(CophyError, match="twins are in different clusters"):
+        score(along_x(0.0, 5.0, 1.0, 5.0), four(cluster=np.array([1, 2, 3, 4])))
 
 
 def test_scores_of_some_experiments() -> None:
@@ -195,7 +206,7 @@ def test_scores_of_other_experiments_are_not_compared() -> None:
     others = [
         ours.select(np.array([0, 1, 2])),
         score(along_x(0.0, 5.0, 1.0, 5.0), four(position=four().position + 1.0)),  # of other data with the same ids
-        score(along_x(0.0, 5.0, 1.0, 5.0), four(pair=np.array([1, 0, 1, 0]))),
+        score(along_x(0.0, 5.0, 1.0, 5.0), four(cluster=np.array([1, 0, 1, 0]))),
     ]
     for other in others:
         assert not have_same_experiments([ours, other])

@@ -17,7 +17,7 @@ from cophy.config import generated_by, settings
 from cophy.dataset.difficulty import stands, twin_differences
 from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import sort_by_twins
+from cophy.dataset.states import clusters_of, sort_by_twins
 from cophy.models.baselines import CopyB, CopyC
 from cophy.scenario import Simulator
 from cophy.schemas import register
@@ -62,17 +62,18 @@ def lines(arrays: Arrays, spec: DatasetSpec) -> Lines:
 
 
 def copy_baselines(arrays: Arrays, spec: DatasetSpec) -> Lines:
-    """Yield MSE and twin difference explained, with 95 % intervals over twin pairs."""
+    """Yield MSE and twin difference explained, with 95 % intervals over clusters."""
+    clusters = clusters_of(spec, arrays["experiment"])
     batch, dims = to_batch(arrays, spec.scenario), spec.scenario.task.metric_dims
     for name, model in (("copy C", CopyC()), ("copy B", CopyB())):
-        stored = prediction_arrays(model(batch.inputs), batch.targets, np.arange(len(batch)))
+        stored = prediction_arrays(model(batch.inputs), batch.targets, np.arange(len(batch)), clusters)
         scores = score(Predictions.from_arrays(stored), Truth.from_arrays(stored, metric_dims=dims))
         for measure, title, digits in (
             ("mse", "MSE", 3),
             ("twin_difference_explained", "twin difference explained", 2),
         ):
             values = scores.values[measure]
-            low, high = interval(values, scores.pair)
+            low, high = interval(values, scores.cluster)
             yield f"{name}, {title}", f"{mean(values):.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 

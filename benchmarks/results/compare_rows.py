@@ -59,7 +59,7 @@ def compared(ours: pd.DataFrame, other: pd.DataFrame) -> dict[str, object]:
         return {}
     one, two = (average(part) for part in scores)
     difference = compare(one, two)
-    low, high = interval(difference.mse, difference.pair)
+    low, high = interval(difference.mse, difference.cluster)
     return {
         "epochs": ", ".join(sorted({str(epochs) for rows in (ours, other) for epochs in rows["epochs"]}, key=int)),
         "seeds": ", ".join(map(str, seeds)),

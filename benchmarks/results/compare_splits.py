@@ -51,7 +51,7 @@ def compared(runs: pd.DataFrame, splits: list[str], others: list[str]) -> dict[s
     low, high = interval(one, two, paired=len(shared) > 0)
     return {
         "seeds": ", ".join(map(str, seeds)),
-        "twin pairs": f"{len(shared)} in both" if len(shared) else f"{len(one)}, {len(two)}",
+        "clusters": f"{len(shared)} in both" if len(shared) else f"{len(one)}, {len(two)}",
         "MSE": one.mean(),
         "on the other": two.mean(),
         "difference": f"{one.mean() - two.mean():.3f} [{low:.3f}, {high:.3f}]",
@@ -59,9 +59,9 @@ def compared(runs: pd.DataFrame, splits: list[str], others: list[str]) -> dict[s
 
 
 def errors(runs: pd.DataFrame, splits: list[str]) -> pd.Series:
-    """The MSE of every twin pair of some splits, mean over twins and seeds; its index are test dataset and number of the pair."""
+    """The MSE of every cluster of some splits, mean over experiments and seeds; its index are test dataset and cluster."""
     found = [
-        pd.Series(scores.mse).groupby([pd.Index([run["dataset_ids"][-1]] * len(scores.pair)), scores.pair]).mean()
+        pd.Series(scores.mse).groupby([pd.Index([run["dataset_ids"][-1]] * len(scores.cluster)), scores.cluster]).mean()
         for run in runs[runs["split"].isin(splits)].to_dict("records")
         for scores in [stored_scores(run)]
     ]
@@ -69,7 +69,7 @@ def errors(runs: pd.DataFrame, splits: list[str]) -> pd.Series:
 
 
 def interval(one: pd.Series, two: pd.Series, *, paired: bool) -> tuple[float, float]:
-    """Bootstrap 95 % interval of the difference of two means over twin pairs (percentiles; the same at every call)."""
+    """Bootstrap 95 % interval of the difference of two means over clusters (percentiles; the same at every call)."""
     found = bootstrap(
         (one.to_numpy(), two.to_numpy()),
         lambda ours, others, axis: ours.mean(axis=axis) - others.mean(axis=axis),

@@ -19,9 +19,11 @@ from scipy.stats import bootstrap
 
 import cophy
 from cophy.bootstrap import NUM_RESAMPLES
+from cophy.config import generated_by, settings
 from cophy.dataset.datamodules import ExperimentDataset
 from cophy.dataset.difficulty import twin_differences
 from cophy.dataset.splits import SPLITS
+from cophy.dataset.states import clusters_of, sort_by_twins
 from cophy.drawing.overview import NO_BREAK, Descriptions
 from cophy.drawing.plots import error_over_time
 from cophy.drawing.sheets import REACH, CloseUp, resize, side_by_side, window_of_motion
@@ -67,13 +69,6 @@ class Held:
     def mse(self, predicted: np.ndarray) -> np.ndarray:
         """Return the MSE of each experiment, m²."""
         return mean_squared_error(predicted, self.true, self.presence, self.dims)
-
-
-def twins_together(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the arrays with twins next to each other: they share A and C."""
-    starts = arrays["states"][:, :, 0].reshape(len(arrays["split"]), -1)
-    order = np.argsort(np.unique(starts, axis=0, return_inverse=True)[1].ravel(), kind="stable")
-    return {name: array[order] for name, array in arrays.items()}
 
 
 def shown(arrays: dict[str, np.ndarray]) -> int:
@@ -210,14 +205,14 @@ def ring(axis: Axes, camera: Camera, places: np.ndarray, window: Window, colors:
 
 
 def errors_over_time(data: dict[str, ExperimentDataset], held: dict[str, Held], predicted: dict) -> Figure:
-    """Draw the mean position error of each method over time, with 95 % bootstrap bands over twin pairs."""
+    """Draw the mean position error of each method over time, with 95 % bootstrap bands over clusters of test experiments."""
     figure = Figure(figsize=(WIDTH_IN, 3.1), dpi=DPI)
     axes = figure.subplots(1, 3)
     figure.subplots_adjust(left=0.075, right=0.99, top=0.8, bottom=0.15, wspace=0.2)
     for axis, (name, experiments) in zip(axes, held.items(), strict=True):
         time = np.arange(experiments.true.shape[1] + 1) / data[name].scenario.clock.frame_rate_hz
         for method, color in METHODS.items():
-            curves = curves_of_pairs(predicted[name][method], experiments)
+            curves = curves_of_clusters(predicted[name][method], experiments)
             low, high = bootstrap(
                 (curves,), np.mean, n_resamples=NUM_RESAMPLES, method="percentile", rng=0
             ).confidence_interval
@@ -234,12 +229,10 @@ def errors_over_time(data: dict[str, ExperimentDataset], held: dict[str, Held], 
     return figure
 
 
-def curves_of_pairs(predicted: np.ndarray, held: Held) -> np.ndarray:
-    """Return the mean position error of each twin pair at every frame, (N/2, T) metres; it is 0 in C."""
-    curves = [
-        error_over_time(predicted[n : n + 2], held.true[n : n + 2], held.presence[n : n + 2], dims=held.dims)
-        for n in range(0, len(predicted), 2)
-    ]
+def curves_of_clusters(predicted: np.ndarray, held: Held) -> np.ndarray:
+    """Return the mean position error of each cluster at every frame, (cluster, T) metres; it is 0 in C."""
+    members = [held.arrays["cluster"] == number for number in np.unique(held.arrays["cluster"])]
+    curves = [error_over_time(predicted[m], held.true[m], held.presence[m], dims=held.dims) for m in members]
     return np.pad(curves, ((0, 0), (1, 0)))
 
 
@@ -268,8 +261,10 @@ def load(size: str, data_dir: Path) -> dict[str, ExperimentDataset]:
     """Return the dataset of each scenario."""
     register()
     datasets = {name: cophy.load(name, split=None, size=size, data_dir=data_dir) for name in RUNS}
-    for dataset in datasets.values():
-        dataset.arrays = twins_together(dataset.arrays)
+    for name, dataset in datasets.items():
+        spec = generated_by(settings("generate", f"scenario={name}", f"size={size}"))[0].spec
+        dataset.arrays = sort_by_twins(dataset.arrays, spec)  # they share A and C
+        dataset.arrays["cluster"] = clusters_of(spec, dataset.arrays["experiment"])
     return datasets
 
 

@@ -32,20 +32,21 @@ def mean(values: np.ndarray | Ratio) -> float:
     return float(np.nanmean(values, axis=0).mean())
 
 
-def interval(values: np.ndarray | Ratio, pairs: np.ndarray) -> tuple[float, float]:
+def interval(values: np.ndarray | Ratio, clusters: np.ndarray) -> tuple[float, float]:
     """Return the bootstrap 95 % interval of the mean or ratio, by percentiles; it is the same at every call.
 
-    Twin pairs are resampled, not experiments, because twins share A, C and the do-operation and hence much of their error.
+    Clusters are resampled, not experiments: twins share A, C and the do-operation, and the pairs of a cluster were assigned the
+    same confounders, so their errors are alike.
 
     Args:
         values: One per experiment, or one per experiment and column; NaN where it does not count.
-        pairs: (experiment,) twin pair of each experiment.
+        clusters: (experiment,) cluster of each experiment.
     """
     parts = values if isinstance(values, Ratio) else Ratio(np.nan_to_num(values), ~np.isnan(values))
-    numerator, denominator = (np.reshape(part, (len(pairs), -1)) for part in parts)
+    numerator, denominator = (np.reshape(part, (len(clusters), -1)) for part in parts)
     counts = denominator.any(axis=1) | isinstance(values, Ratio)
-    unique_pairs, group = np.unique(pairs[counts], return_inverse=True)
-    if len(unique_pairs) < 2:
+    unique, group = np.unique(clusters[counts], return_inverse=True)
+    if len(unique) < 2:
         return mean(values), mean(values)
     total, size = (_sums(part[counts], group) for part in (numerator, denominator))
 
@@ -54,7 +55,7 @@ def interval(values: np.ndarray | Ratio, pairs: np.ndarray) -> tuple[float, floa
             return np.nanmean(total[rows].sum(axis=axis - 1) / size[rows].sum(axis=axis - 1), axis=-1)
 
     result = bootstrap(
-        (np.arange(len(unique_pairs)),),
+        (np.arange(len(unique)),),
         statistic,
         n_resamples=NUM_RESAMPLES,
         batch=MAX_RESAMPLES_AT_ONCE,

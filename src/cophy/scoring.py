@@ -62,6 +62,8 @@ class Truth:
         presence: (n, K) bool, which slots hold an object in C and D.
         initial: (n, K, 3) positions in C.
         pair: (n,) twin pair, equal for both twins; negative without a twin.
+        cluster: (n,) cluster, in whole twin pairs: experiments whose errors are alike, as their pairs were assigned the same
+            two configurations of confounders. Intervals resample clusters. Negative for an experiment that is a cluster of its own.
         cell: (n,) index of the kind of experiment (`Scenario.cells`), for the scores of each, see `Scores.select`.
         metric_dims: Number of coordinates that count (balls: x and y).
         by_height: Whether pixel errors are also given per object, from the lowest in C up.
@@ -74,6 +76,7 @@ class Truth:
     presence: np.ndarray
     initial: np.ndarray
     pair: np.ndarray
+    cluster: np.ndarray
     cell: np.ndarray
     metric_dims: int
     by_height: bool = False
@@ -89,7 +92,7 @@ class Truth:
         camera: Projection | None = None,
     ) -> "Truth":
         """Return the truth in predictions.npz."""
-        names = ("experiment", "stable", "presence", "initial", "pair", "cell")
+        names = ("experiment", "stable", "presence", "initial", "pair", "cluster", "cell")
         return cls(
             position=arrays["target"],
             metric_dims=metric_dims,
@@ -105,13 +108,13 @@ class Scores:
 
     Attributes:
         experiment: (n,) ids of the experiments.
-        pair: (n,) twin pair; an experiment without a twin has a negative number of its own.
+        cluster: (n,) cluster; an experiment that is one of its own has a negative number of its own.
         truth: (n,) sum of the true coordinates, m; it tells experiments of different data apart.
         values: (n,) values of each measure, or (n, column); NaN if an experiment does not count.
     """
 
     experiment: np.ndarray
-    pair: np.ndarray
+    cluster: np.ndarray
     truth: np.ndarray
     values: Mapping[str, np.ndarray | Ratio]
 
@@ -127,8 +130,8 @@ class Scores:
         return {name: mean(values) for name, values in self.values.items()}
 
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """Return the 95 % bootstrap interval of each mean, over twin pairs."""
-        return {name: interval(values, self.pair) for name, values in self.values.items()}
+        """Return the 95 % bootstrap interval of each mean, over clusters."""
+        return {name: interval(values, self.cluster) for name, values in self.values.items()}
 
     def select(self, rows: np.ndarray) -> "Scores":
         """Return the scores of some experiments, by index or mask."""
@@ -136,7 +139,7 @@ class Scores:
             name: Ratio(*(part[rows] for part in value)) if isinstance(value, Ratio) else value[rows]
             for name, value in self.values.items()
         }
-        return Scores(self.experiment[rows], self.pair[rows], self.truth[rows], values)
+        return Scores(self.experiment[rows], self.cluster[rows], self.truth[rows], values)
 
 
 def score(predictions: Predictions, truth: Truth) -> Scores:
@@ -177,8 +180,8 @@ def score(predictions: Predictions, truth: Truth) -> Scores:
     twin = twins_of(truth.pair)
     if (twin != np.arange(len(twin))).any():
         values |= _twin_measures(predicted[..., :dims], true[..., :dims], twin, variance[..., :dims])
-    pair = np.where(truth.pair < 0, -1 - truth.experiment.astype(np.int64), truth.pair)
-    return Scores(truth.experiment, pair, true.sum(axis=(1, 2, 3)), values)
+    cluster = np.where(truth.cluster < 0, -1 - truth.experiment.astype(np.int64), truth.cluster)
+    return Scores(truth.experiment, cluster, true.sum(axis=(1, 2, 3)), values)
 
 
 def average(scores: Sequence[Scores]) -> Scores:
@@ -197,7 +200,7 @@ def compare(ours: Scores, others: Scores) -> Scores:
 
 def have_same_experiments(scores: Sequence[Scores]) -> bool:
     """Return whether all scores have the same experiments, from the same data, in the same order."""
-    names = ("experiment", "pair", "truth")
+    names = ("experiment", "cluster", "truth")
     return all(np.array_equal(getattr(scores[0], name), getattr(each, name)) for each in scores[1:] for name in names)
 
 
@@ -331,6 +334,7 @@ def _check_truth(truth: Truth) -> None:
         "presence": ((count, slots), "b"),
         "initial": ((count, slots, 3), "f"),
         "pair": ((count,), "iu"),
+        "cluster": ((count,), "iu"),
         "cell": ((count,), "iu"),
     }
     for name, (shape, kinds) in expected.items():
@@ -345,6 +349,8 @@ def _check_truth(truth: Truth) -> None:
         raise CophyError("truth: the ids of experiments have to differ and to be at least 0")
     if np.unique(truth.pair[truth.pair >= 0], return_counts=True)[1].max(initial=0) > 2:
         raise CophyError("truth: a twin pair has more than two experiments")
+    if (truth.cluster != truth.cluster[twins_of(truth.pair)]).any():
+        raise CophyError("truth: twins are in different clusters")
     if not truth.presence.any(axis=1).all():
         raise CophyError("truth: an experiment has no object")
 

@@ -35,10 +35,21 @@ def test_only_one_file_says_which_test_experiments_are_twins(states: States) -> 
     arrays, order = states.load(), SPEC.order
     assert (arrays["twin"][arrays["split"] == SPLITS.index("test")] == -1).all()
     header, *lines = (states.directory / TEST_TWINS).read_text().splitlines()
-    pairs = dict(tuple(map(int, line.split(","))) for line in lines)
-    assert header == "experiment,twin"
-    assert sorted(pairs) == np.flatnonzero(order.split == SPLITS.index("test")).tolist()
-    assert all(order.pair[experiment] == pair for experiment, pair in pairs.items())
+    experiment, twin, cluster = np.array([line.split(",") for line in lines], dtype=int).T
+    assert header == "experiment,twin,cluster"
+    assert experiment.tolist() == np.flatnonzero(order.split == SPLITS.index("test")).tolist()
+    np.testing.assert_array_equal(order.pair[experiment], twin)
+    np.testing.assert_array_equal(states.clusters(experiment), cluster)
+
+
+def test_pairs_of_a_cluster_were_assigned_the_same_confounders(states: States) -> None:
+    arrays = sort_by_twins(states.load(), SPEC)
+    first = {key: arrays[key][::2] for key in ("configuration", "split", "experiment")}
+    cluster = states.clusters(first["experiment"])
+    for number in np.unique(cluster):
+        members = cluster == number
+        assert len(set(first["configuration"][members])) == len(set(first["split"][members])) == 1
+    assert len(set(cluster)) < len(cluster)
 
 
 def test_sorted_by_twins_neighbours_share_a_and_the_first_twin_comes_first(states: States) -> None:

@@ -110,7 +110,7 @@ def test_frames_belong_to_their_states(tmp_path: Path, source: str) -> None:
         seen = frames[item]
         assert abs(float(seen.image.float().mean()) - 8 * time) < 4
         np.testing.assert_array_equal(seen.position, arrays["states"][row, sequence, time, :, :3])
-    assert set(frames.pairs.tolist()) == {0, 1}
+    assert set(frames.clusters.tolist()) == {0, 1}
     estimates = Estimates(opened, Brightness())
     estimates.directory.mkdir()
     estimates.write(estimates.path(0), 0, lambda count: None)

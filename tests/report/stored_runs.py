@@ -31,4 +31,6 @@ def leave(directory: Path, metrics: str | bytes, config: str = CONFIG, error: fl
         position, torch.ones(4, 5, 3, dtype=torch.bool), present, position[:, 0], present,
         torch.zeros(4, 3, 2, dtype=torch.long), torch.arange(4) // 2, torch.zeros(4, dtype=torch.long),
     )  # fmt: skip
-    write_predictions(directory, prediction_arrays(Prediction(position + error), targets, np.arange(4)))
+    write_predictions(
+        directory, prediction_arrays(Prediction(position + error), targets, np.arange(4), np.arange(4) // 2)
+    )

@@ -38,7 +38,7 @@ def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, 
     prediction = Prediction(targets.position + noise)
     directory = directory / f"seed{seed}"
     directory.mkdir()
-    write_predictions(directory, prediction_arrays(prediction, targets, np.arange(len(targets))))
+    write_predictions(directory, prediction_arrays(prediction, targets, np.arange(len(targets)), targets.pair.numpy()))
     measured = scored(prediction, targets, SPEC.scenario).means()
     line = run("cophynet", seed=seed, size="tiny", directory=directory, dataset_ids=[SPEC.id], metric_dims=3)
     return line | measured | changes

@@ -230,13 +230,13 @@ def test_stored_scores_are_the_mse_of_each_experiment(
     position = tower_batch.inputs.observed[:, 1:]
     prediction = Prediction(position, draw_variance=None if variance is None else variance * torch.rand_like(position))
     targets = tower_batch.targets
-    write_predictions(tmp_path, prediction_arrays(prediction, targets, np.arange(len(targets))))
+    write_predictions(tmp_path, prediction_arrays(prediction, targets, np.arange(len(targets)), targets.pair.numpy()))
     scores = stored_scores({"directory": tmp_path, "metric_dims": dims})
     squared = (position.double() - targets.position).square() - (0.0 if variance is None else prediction.draw_variance)
     present = targets.presence[:, None, :, None].expand_as(squared)[..., :dims]
     expected = squared[..., :dims].where(present, torch.nan).nanmean(dim=(1, 2, 3))
     np.testing.assert_allclose(scores.mse, expected, rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(scores.pair, np.arange(len(targets)) // 2)
+    np.testing.assert_array_equal(scores.cluster, np.arange(len(targets)) // 2)
 
 
 def test_a_share_is_of_the_experiments_that_all_were_tested_on() -> None:
@@ -248,7 +248,7 @@ def test_a_share_is_of_the_experiments_that_all_were_tested_on() -> None:
     assert share_of_gain(ours, without, turned) == pytest.approx((0.75, 0.75, 0.75))
     none_in_common = [replace(each, experiment=each.experiment + 40) for each in with_ab]
     assert np.isnan(share_of_gain(ours, without, none_in_common).value)
-    other_pairs = [replace(each, pair=each.pair + 1) for each in with_ab]
+    other_pairs = [replace(each, cluster=each.cluster + 1) for each in with_ab]
     assert np.isnan(share_of_gain(ours, without, other_pairs).value)
     other_data = [replace(each, truth=each.truth + 0.5) for each in with_ab]  # whose experiments have the same numbers
     assert np.isnan(share_of_gain(ours, without, other_data).value)

@@ -6,7 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from cophy.scenario.assignment import assign, canonical_problems, select_seen
+from cophy.scenario.assignment import assign, block_of, canonical_problems, select_seen
 from cophy.scenario.confounders import ConfounderGrid
 from cophy.scenario.scenario import square_symmetries
 
@@ -38,6 +38,17 @@ def test_both_cells_of_a_block_are_met_by_the_same_twins() -> None:
         first, second = assign(pair, **THREE_BLOCKS), assign(pair + 2, **THREE_BLOCKS)
         assert (first.first, first.seconds, first.do_operation) == (second.first, second.seconds, second.do_operation)
         assert (first.cell, second.cell) in THREE_BLOCKS["blocks"]
+
+
+@pytest.mark.parametrize(("halves", "options"), [(2, THREE_BLOCKS), (1, ONE_BLOCK | {"seen": None})])
+def test_pairs_of_one_block_have_one_assignment_of_configurations(halves: int, options: dict) -> None:
+    pairs = np.arange(96)
+    block = block_of(pairs, num_halves=halves, pairs_per_block=len(options["blocks"][0]))
+    of_block: dict[int, set] = {}
+    for pair, number in zip(pairs.tolist(), block.tolist(), strict=True):
+        of_block.setdefault(number, set()).add((assign(pair, **options).first, assign(pair, **options).seconds))
+    assert all(len(found) == 1 for found in of_block.values())
+    assert len(set.union(*of_block.values())) == len(of_block) == 96 // len(options["blocks"][0])
 
 
 @pytest.mark.parametrize("num_do_operations", [1, 2, 3, 6])

@@ -9,6 +9,6 @@ from cophy.types import Prediction, Targets
 
 
 def scored(prediction: Prediction, targets: Targets, scenario: Scenario) -> Scores:
-    arrays, task = prediction_arrays(prediction, targets, np.arange(len(targets))), scenario.task
+    arrays, task = prediction_arrays(prediction, targets, np.arange(len(targets)), targets.pair.numpy()), scenario.task
     truth = Truth.from_arrays(arrays, metric_dims=task.metric_dims, by_height=task.by_height, camera=scenario.camera)
     return score(Predictions.from_arrays(arrays), truth)

@@ -111,10 +111,13 @@ def test_predictions_are_read_as_they_were_written(tmp_path: Path, tower_batch: 
     empty = ~targets.presence[:, None, :, None]
     position = (targets.position + 1).masked_fill(empty, torch.nan)
     logit, estimate = torch.ones_like(targets.position[:, :1, :, 0]), torch.ones(*targets.presence.shape, 8)
-    write_predictions(tmp_path, prediction_arrays(Prediction(position, logit, estimate), targets, experiments))
+    write_predictions(
+        tmp_path, prediction_arrays(Prediction(position, logit, estimate), targets, experiments, targets.pair.numpy())
+    )
     arrays = read_predictions(tmp_path)
     np.testing.assert_array_equal(arrays["experiment"], experiments)
     np.testing.assert_array_equal(arrays["position"], (targets.position + 1).masked_fill(empty, 0.0).numpy())
+    np.testing.assert_array_equal(arrays["cluster"], targets.pair)
     for name in ("stable", "presence", "initial", "pair", "cell"):
         np.testing.assert_array_equal(arrays[name], getattr(targets, name).numpy())
     np.testing.assert_array_equal(arrays["target"], targets.position.numpy())

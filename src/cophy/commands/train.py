@@ -143,7 +143,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
                 "derenderer": derenderer.name if derenderer else None,
                 "predictor": sha256(predictor)[:8] if predictor else None,
                 "num_train": len(data.train),
-                "num_test": len(results.pairs),
+                "num_test": len(results.clusters),
                 "max_epochs": arguments["max_epochs"],
                 "metric_dims": config.scenario.task.metric_dims,
                 "wall_seconds": round(time.monotonic() - start_time, 1),

@@ -51,7 +51,7 @@ seed {spec.data_seed}; `manifest.json` holds the whole configuration, versions a
 Every experiment is an observed sequence AB and a counterfactual one CD under the same confounders ({grid}), which no picture
 shows. Every experiment has a twin that shares A, C and the do-operation ({", ".join(scenario.do_operations)}). Experiments are
 stored in random order, so an index tells nothing. `twin` is equal for both twins, and -1 in the test split: `test_twins.csv` has
-those of the test split, for scoring only. A prediction must not depend on any other test experiment.
+those of the test split, for scoring only, and clusters: pairs that were assigned the same configurations. A prediction must not depend on any other test experiment.
 Sequences: {clock.num_frames} frames at {clock.frame_rate_hz} Hz, states at {clock.state_rate_hz} Hz. Slots: {", ".join(scenario.colors)}.
 Units: m, s, kg; z up. Splits 0, 1, 2: train, validation, test.
 

@@ -113,6 +113,14 @@ class ExperimentSet(ShardSet):
         """
 
     @abstractmethod
+    def clusters(self, rows: np.ndarray) -> np.ndarray:
+        """Return clusters of experiments for the bootstrap: twin pairs that were assigned the same confounders.
+
+        Args:
+            rows: (experiment,) rows of the loaded arrays.
+        """
+
+    @abstractmethod
     def frames(self, render: RenderSettings, needed: NeededFrames = ALL_FRAMES) -> "FrameSource":
         """Return the images of the experiments.
 

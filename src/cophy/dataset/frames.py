@@ -83,13 +83,13 @@ class FrameDataset(Dataset[FrameBatch]):
         return dataset
 
     @property
-    def pairs(self) -> np.ndarray:
-        """(frame,) number of the twin pair of each frame, different for all sources."""
-        pairs = np.zeros(len(self.index), dtype=np.int64)
+    def clusters(self) -> np.ndarray:
+        """(frame,) cluster of the experiment of each frame, see `ExperimentSet.clusters`, different for all sources."""
+        clusters = np.zeros(len(self.index), dtype=np.int64)
         for source, (images, _) in enumerate(self.sources):
             chosen = self.index[:, 0] == source
-            pairs[chosen] = images.states.pairs(self.index[chosen, 1])
-        return pairs * len(self.sources) + self.index[:, 0]
+            clusters[chosen] = images.states.clusters(self.index[chosen, 1])
+        return clusters * len(self.sources) + self.index[:, 0]
 
     def sequence_of(self, item: int) -> FrameBatch:
         """Return all frames, in time, of the sequence that contains a frame."""

@@ -156,6 +156,12 @@ def sort_by_twins(arrays: Arrays, spec: DatasetSpec) -> Arrays:
     return {name: array[rows] for name, array in arrays.items()} | {"twin": spec.order.pair[rows], "experiment": rows}
 
 
+def clusters_of(spec: DatasetSpec, rows: np.ndarray) -> np.ndarray:
+    """Return clusters of experiments, see `ExperimentSet.clusters`: blocks of `assign`."""
+    block = spec.scenario.block_of(spec.order.number[rows], spec.num_objects, spec.data_seed)
+    return np.asarray(block * len(SPLITS) + spec.order.split[rows])
+
+
 def build_scene(arrays: Arrays, row: int, scenario: Scenario) -> Scene:
     """Return A of an experiment under its confounders, from its first stored state (float32)."""
     order = arrays["object_index"][row]
@@ -255,6 +261,9 @@ class States(ExperimentSet):
     def pairs(self, rows: np.ndarray) -> np.ndarray:
         return self.spec.order.pair[rows]
 
+    def clusters(self, rows: np.ndarray) -> np.ndarray:
+        return clusters_of(self.spec, rows)
+
     def has_same_splits(self, *, data_seed: int, trained_on: Sequence[str]) -> bool:
         return data_seed == self.spec.data_seed  # splits of different sizes are parts of each other
 
@@ -275,7 +284,8 @@ class States(ExperimentSet):
 
     def write_manifest(self) -> None:
         tested = np.flatnonzero(self.spec.order.split == SPLITS.index("test"))
-        lines = ["experiment,twin", *(f"{index},{self.spec.order.pair[index]}" for index in tested)]
+        columns = np.stack([tested, self.pairs(tested), self.clusters(tested)], axis=1).tolist()
+        lines = ["experiment,twin,cluster", *(",".join(map(str, row)) for row in columns)]
         write_atomically(self.directory / TEST_TWINS, ("\n".join(lines) + "\n").encode())
         super().write_manifest()  # last: it says that the dataset is finished
         self.write_card(f"not run yet, `{self.command_for('audit')}`")

@@ -15,7 +15,7 @@ from cophy.dataset.difficulty import difficulty
 from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
-from cophy.dataset.states import sort_by_twins
+from cophy.dataset.states import clusters_of, sort_by_twins
 from cophy.drawing.plots import square_root
 from cophy.report.figures import row_name, sort_rows
 from cophy.report.runs import comparable_seeds
@@ -56,6 +56,7 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
         difference; NaN elsewhere.
     """
     arrays = sort_by_twins(arrays, spec)
+    arrays["cluster"] = clusters_of(spec, arrays["experiment"])
     tested, lines = np.flatnonzero(part.select_split(arrays, "test")), []
     truth = _truth({name: array[tested] for name, array in arrays.items()}, spec.scenario)
     measures = difficulty(arrays, spec)
@@ -73,12 +74,12 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
         all_scores = average(seeds)
         for by, group, rows in groups(values):
             scores = all_scores.select(rows)
-            low, high = interval(scores.mse, scores.pair)
+            low, high = interval(scores.mse, scores.cluster)
             counts = {"experiments": int(rows.sum()), "seeds": len(seeds)}
             numbers = {"mse": mean(scores.mse), "low": low, "high": high}
             if by in WHOLE_PAIRS:
                 explained = scores.values["twin_difference_explained"]
-                ends = interval(explained, scores.pair)
+                ends = interval(explained, scores.cluster)
                 numbers |= {"explained": mean(explained), "explained_low": ends[0], "explained_high": ends[1]}
             lines.append({**section, "by": by, "group": group, **counts, **numbers})
     return pd.DataFrame(lines)
@@ -117,6 +118,7 @@ def _truth(arrays: dict[str, np.ndarray], scenario: Scenario) -> Truth:
         presence=targets.presence.numpy(),
         initial=targets.initial.numpy(),
         pair=arrays["twin"],
+        cluster=arrays["cluster"],
         cell=targets.cell.numpy(),
         metric_dims=scenario.task.metric_dims,
     )
@@ -154,7 +156,7 @@ PANEL_LETTERS = 42  # that fit next to each other below a panel
 GROUP_WIDTH = 0.6  # of all models of a group together, as a share of the distance between groups
 EXPLANATION = """# MSE by difficulty
 
-The default split of each scenario, test experiments, mean over seeds. [ ]: 95 % bootstrap interval over the twin pairs of the group; n:
+The default split of each scenario, test experiments, mean over seeds. [ ]: 95 % bootstrap interval over the clusters of the group; n:
 experiments in it. Numbers are broken down by thirds.
 
 - cell: what the generator was asked for ({cells}).

@@ -18,7 +18,7 @@ TWINS_CAPTION = (
     "Twins share A, C and the do-operation and differ in their confounders, which only AB shows. Explained: "
     "1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|², with ΔP and ΔD the predicted and the true difference between twins; 0 % for any model "
     "without AB, 100 % for a perfect one. Right twin: how often P is nearer to its own D than to the twin's; 50 % by "
-    "chance. [ ]: 95 % bootstrap interval over twin pairs; ±: standard deviation over seeds."
+    "chance. [ ]: 95 % bootstrap interval over clusters; ±: standard deviation over seeds."
 )
 
 

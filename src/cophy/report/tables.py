@@ -42,9 +42,7 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
     size = ", ".join(sorted(used["size"].unique()))
     notes.append(" ".join(TESTED_ON[positions] for positions in sorted(used["positions"].unique())))
     notes.append(f"Size {size}: {num_train} training and {num_test} test experiments;{epochs} seeds {seeds}.")
-    notes.append(
-        "[ ]: 95 % bootstrap interval over the twin pairs of the test split; ±: standard deviation over seeds."
-    )
+    notes.append("[ ]: 95 % bootstrap interval over clusters of the test split; ±: standard deviation over seeds.")
     if "gt_confounders" in used["ablation"].to_numpy():
         notes.append(
             "Where the true confounders are given, they include what positions hide: initial velocity, shape and orientation."
@@ -108,7 +106,7 @@ def share_of_gain(ours: Sequence[Scores], without: Sequence[Scores], with_ab: Se
         return UNKNOWN
     mse, mse_without, mse_with = (average(part).mse for part in selected)
     gain, possible = mse_without - mse, mse_without - mse_with
-    return GainShare(gain.sum() / possible.sum(), *interval(Ratio(gain, possible), selected[0][0].pair))
+    return GainShare(gain.sum() / possible.sum(), *interval(Ratio(gain, possible), selected[0][0].cluster))
 
 
 CELL_COLUMNS = ("row", "column", "metric", "ours", "sd", "low", "high", "seeds", "failed", "paper")

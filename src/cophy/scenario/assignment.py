@@ -9,6 +9,7 @@ outcome equally often, so no value of a confounder predicts the outcome.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -67,8 +68,7 @@ def assign(
         CophyError: There are too few configurations for twins that differ.
     """
     halves = [None] if seen is None else [np.flatnonzero(~seen), np.flatnonzero(seen)]
-    index, half_index = divmod(pair, len(halves))
-    turn, position = divmod(index, len(blocks[0]))
+    half_index, turn, position = _place(pair, len(halves), len(blocks[0]))
     half = halves[half_index]
     count = num_configurations if half is None else len(half)
     if count < 2:
@@ -91,6 +91,18 @@ def assign(
         do_operation=(turn + turn // period) % num_do_operations,
         cell=blocks[turn % len(blocks)][position],
     )
+
+
+def block_of(pair: np.ndarray, *, num_halves: int, pairs_per_block: int) -> np.ndarray:
+    """Return the number of the block of each twin pair in its series, given the number of halves (1 without † splits)."""
+    half, turn, _ = _place(pair, num_halves, pairs_per_block)
+    return turn * num_halves + half
+
+
+def _place(pair: Any, num_halves: int, pairs_per_block: int) -> tuple[Any, Any, Any]:
+    """Return the half of a pair, the turn of its block in the half, and its position in the block. Halves alternate."""
+    index, half = pair // num_halves, pair % num_halves
+    return half, index // pairs_per_block, index % pairs_per_block
 
 
 def _enumerate(configurations: np.ndarray, turn: int, seed: tuple[int, ...]) -> list[int]:

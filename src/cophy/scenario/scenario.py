@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cophy.errors import CophyError, check_name
-from cophy.scenario.assignment import PairAssignment, assign
+from cophy.scenario.assignment import PairAssignment, assign, block_of
 from cophy.scenario.camera import Camera
 from cophy.scenario.confounders import ConfounderGrid
 from cophy.scenario.experiment import Experiment, TwinPair, with_confounders
@@ -226,6 +226,11 @@ class Scenario(ABC):
             num_do_operations=len(self.do_operations),
             blocks=self.blocks(),
         )
+
+    def block_of(self, pair: np.ndarray, num_objects: int, data_seed: int) -> np.ndarray:
+        """Return the block of each twin pair in its series: pairs of a block are assigned the same confounders."""
+        num_halves = 1 if self.seen_configurations(num_objects, data_seed) is None else 2
+        return block_of(pair, num_halves=num_halves, pairs_per_block=len(self.blocks()[0]))
 
     def seen_configurations(self, num_objects: int, data_seed: int) -> np.ndarray | None:
         """Return the half of the configurations that † splits train on; they test on the other half (paper Table 2).

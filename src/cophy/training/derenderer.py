@@ -51,7 +51,7 @@ class DerenderingModule(L.LightningModule):
 
     def results(self, data: FrameDataModule) -> Results:
         """Return all metrics of the test."""
-        return Results(self.tested, data.test.pairs)
+        return Results(self.tested, data.test.clusters)
 
     def forward(self, image: UInt8[Tensor, "batch 3 height width"]) -> Derendered:
         """Return positions and presence of the objects in an image."""

@@ -144,8 +144,9 @@ class PredictionModule(L.LightningModule):
         order = np.argsort(pair, kind="stable")
         prediction, batch = take(prediction, torch.from_numpy(order)), take(batch, torch.from_numpy(order))
         experiments, pair = data.test_experiments[rows][order], pair[order].astype(np.int64)
+        clusters = data.test_set.clusters(experiments)
         targets = batch.targets = replace(batch.targets, pair=torch.from_numpy(pair))
-        arrays, task = prediction_arrays(prediction, targets, experiments), self.scenario.task
+        arrays, task = prediction_arrays(prediction, targets, experiments, clusters), self.scenario.task
         truth = Truth.from_arrays(
             arrays, metric_dims=task.metric_dims, by_height=task.by_height, camera=self.scenario.camera
         )
@@ -160,7 +161,7 @@ class PredictionModule(L.LightningModule):
                 assert estimate is not None
                 probed = probe(Probed(estimate, train.targets), tested)
                 arrays, values = arrays | probed, {**values, **probe_accuracies(probed)}
-        return Results(values, scores.pair, mse_of_copies(batch, truth, data.mean_position), arrays)
+        return Results(values, scores.cluster, mse_of_copies(batch, truth, data.mean_position), arrays)
 
     def check_batches(self, inputs: Inputs) -> None:
         """Compare predictions of single experiments with those of a batch: each must depend on its own AB and C alone.
@@ -272,7 +273,9 @@ class PredictionModule(L.LightningModule):
                 self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
 
 
-def prediction_arrays(prediction: Prediction, targets: Targets, experiments: np.ndarray) -> dict[str, np.ndarray]:
+def prediction_arrays(
+    prediction: Prediction, targets: Targets, experiments: np.ndarray, clusters: np.ndarray
+) -> dict[str, np.ndarray]:
     """Return the arrays of predictions.npz without those of the probe, see `cophy.training.run.read_predictions`."""
     presence = targets.presence[:, None]
     tensors = {
@@ -291,7 +294,7 @@ def prediction_arrays(prediction: Prediction, targets: Targets, experiments: np.
         tensors["estimate"] = torch.where(seen, prediction.confounder_estimate, 0.0)
     if prediction.draw_variance is not None:
         tensors["draw_variance"] = torch.where(presence[..., None], prediction.draw_variance, 0.0)
-    return {"experiment": experiments} | {name: tensor.numpy() for name, tensor in tensors.items()}
+    return {"experiment": experiments, "cluster": clusters} | {name: tensor.numpy() for name, tensor in tensors.items()}
 
 
 def mse_of_copies(batch: Batch, truth: Truth, missed_position: Float[Tensor, "3"]) -> dict[str, float]:

@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 METRICS, PREDICTIONS, FAILURE = "metrics.json", "predictions.npz", "failure.json"  # in the directory of a run
 ARRAYS = {  # of predictions.npz: kinds of numbers, and axes: n experiments, t frames 1 … T-1, k slots; see `read_predictions`
-    **dict.fromkeys(("experiment", "pair", "cell"), ("iu", "n")),
+    **dict.fromkeys(("experiment", "pair", "cluster", "cell"), ("iu", "n")),
     **dict.fromkeys(("target", "position"), ("f", "n t k 3")),
     **{"initial": ("f", "n k 3"), "presence": ("b", "n k"), "stable": ("b", "n t k")},
 }
@@ -59,13 +59,13 @@ class Results:
 
     Attributes:
         values: Each metric, with one value per test item, or one per item and column (`cophy.bootstrap.mean`).
-        pairs: (item,) twin pair of each item.
+        clusters: (item,) cluster of each item, for the bootstrap: `ExperimentSet.clusters`.
         copies: MSE of each copy baseline on the same test split; empty for a de-renderer.
         predictions: Arrays for predictions.npz; empty for a de-renderer.
     """
 
     values: "Mapping[str, np.ndarray | Ratio]"
-    pairs: np.ndarray
+    clusters: np.ndarray
     copies: Mapping[str, float] = field(default_factory=dict)
     predictions: Mapping[str, np.ndarray] = field(default_factory=dict)
 
@@ -171,7 +171,7 @@ class Run:
         if results.predictions:
             write_predictions(self.directory, results.predictions)
         metrics = {name: mean(value) for name, value in results.values.items()}
-        intervals = {name: interval(value, results.pairs) for name, value in results.values.items()}
+        intervals = {name: interval(value, results.clusters) for name, value in results.values.items()}
         content = {"metrics": metrics, "intervals": intervals, "copies": dict(results.copies)}
         _write_json(self.directory / METRICS, {**self.names(), **facts, **content})
         text = "  ".join(f"{name} {metrics[name]:.4f}" for name in LOGGED if name in metrics)
@@ -246,8 +246,8 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
 
     Returns:
         Always: experiment (experiment,), indices in the dataset; position, target (experiment, T-1, K, 3), predicted and true
-        D, metres; initial (experiment, K, 3), C; presence (experiment, K); stable (experiment, T-1, K), true; pair and cell
-        (experiment,). Empty slots are zero. Where the model has them, see `Prediction`: stable_logit, draw_variance, and
+        D, metres; initial (experiment, K, 3), C; presence (experiment, K); stable (experiment, T-1, K), true; pair,
+        cluster and cell (experiment,), see `cophy.scoring.Truth`. Empty slots are zero. Where the model has them, see `Prediction`: stable_logit, draw_variance, and
         estimate (experiment, K, any). Where the estimate was probed: the classes of `cophy.training.probe.probe`.
 
     Raises:
