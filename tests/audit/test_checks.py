@@ -78,6 +78,17 @@ def test_a_wrong_value_of_a_second_twin_fails(collisions, name: str, index: Any,
     assert line in failing([*check_states(arrays, spec), *check_twins(arrays, spec)])
 
 
+def test_a_failed_check_names_the_experiment_by_its_id(collisions) -> None:
+    spec, arrays = collisions
+    changed = arrays["do_offset"].copy()
+    changed[5] += 1.0
+    (result,) = (
+        c.result for c in check_states(arrays | {"do_offset": changed}, spec) if c.name.startswith("C equals A")
+    )
+    assert result == f"fails in 1 experiments, the first is {arrays['experiment'][5]}"
+    assert arrays["experiment"][5] != 5  # a row of arrays that are sorted by twins is no id
+
+
 def with_state(arrays: dict, coordinate: int, value: float) -> dict:
     """Replace a coordinate of every object in state 9 of the first CD."""
     changed = arrays["states"].copy()

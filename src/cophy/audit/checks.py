@@ -59,9 +59,9 @@ def tolerance(share: float, draws: int) -> float:
     return max(BALANCE_TOLERANCE, three_sigma(share, draws))
 
 
-def check_all(name: str, wrong: list[int]) -> Check:
-    """Check that every experiment passes, given the indices of those that do not."""
-    result = f"fails in {len(wrong)} experiments, the first is {wrong[0]}" if wrong else "yes"
+def check_all(name: str, wrong: list[int], arrays: Arrays) -> Check:
+    """Check that every experiment passes, given the rows of those that do not."""
+    result = f"fails in {len(wrong)} experiments, the first is {arrays['experiment'][wrong[0]]}" if wrong else "yes"
     return Check(name, result, not wrong)
 
 
@@ -90,7 +90,7 @@ def _check_configurations(arrays: Arrays, spec: DatasetSpec) -> Check:
         same = np.allclose(stored, [true.mass, true.friction, true.restitution])
         if not same or not np.allclose(arrays["gravity"][row], (*true.gravity_xy, spec.scenario.gravity_z)):
             wrong.append(row)
-    return check_all("confounders match the configuration", wrong)
+    return check_all("confounders match the configuration", wrong, arrays)
 
 
 def _check_do_operations(arrays: Arrays) -> Check:
@@ -105,7 +105,7 @@ def _check_do_operations(arrays: Arrays) -> Check:
         same = (presence == arrays["presence"][row, 1]).all()
         if not same or np.abs(expected - second).max() > ROUNDING_TOLERANCE_M:
             wrong.append(row)
-    return check_all("C equals A after the do-operation", wrong)
+    return check_all("C equals A after the do-operation", wrong, arrays)
 
 
 def check_positions(arrays: Arrays, size_m: float) -> Iterator[Check]:
@@ -179,7 +179,7 @@ def _check_index(arrays: Arrays, spec: DatasetSpec) -> Check:
         stored = tuple(int(arrays[name][row]) for name in ("configuration", "do_operation", "cell"))
         if stored != expected or int(arrays["configuration"][row + 1]) not in assignment.seconds:
             wrong.append(row)
-    return check_all("confounders, do-operation and cell follow from the seed", wrong)
+    return check_all("confounders, do-operation and cell follow from the seed", wrong, arrays)
 
 
 def _check_held_out(arrays: Arrays, spec: DatasetSpec) -> Check:
@@ -257,7 +257,7 @@ def check_cell_shapes(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     if expected[0] is not None:
         shapes = np.take_along_axis(arrays["shape"], slots_in_order(arrays, spec.num_objects), axis=1)
         wrong = (shapes != np.array(expected)[arrays["cell"]]).any(axis=1)
-        yield check_all("shapes match the cell", np.flatnonzero(wrong).tolist())
+        yield check_all("shapes match the cell", np.flatnonzero(wrong).tolist(), arrays)
 
 
 def check_distances(arrays: Arrays, spec: Sharded) -> Iterator[Check]:
@@ -384,9 +384,9 @@ def check_towers(arrays: Arrays, spec: DatasetSpec, statics: TowerStatics) -> It
     correct = _cells_of_outcomes(standing) == names
     yield Check("cells match the trajectories", f"{correct.mean():.1%}", bool(correct.all()))
     same = standing[::2] == standing[1::2]
-    yield check_all("twins have opposite outcomes of CD", (2 * np.flatnonzero(same[:, 1])).tolist())
+    yield check_all("twins have opposite outcomes of CD", (2 * np.flatnonzero(same[:, 1])).tolist(), arrays)
     stand_twice = np.flatnonzero(same[:, 0] & standing[::2, 0])
-    yield check_all("no A stands under both twins' confounders", (2 * stand_twice).tolist())
+    yield check_all("no A stands under both twins' confounders", (2 * stand_twice).tolist(), arrays)
     yield from _check_statics(arrays, statics, standing, spec.num_objects)
     yield from check_stability(arrays, standing[:, 1], spec.num_objects)
 
