@@ -1,0 +1,193 @@
+"""Make, or continue, the results of the docs: python benchmarks/reproduce.py [PART ...] [--scenario NAME] [--workers N] [--plan]
+
+Parts: data (datasets), audit, headline (rows of the headline table: three training seeds on two datasets), oracles. All by default.
+Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side. What is finished is skipped, and
+what was interrupted continues. Logs: outputs/reproduce. Afterwards, keep_results.py and docs/generate.py write the tables.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+from cophy.config import generated_by, settings
+from cophy.report.paper_tables import methods
+from cophy.schemas import register
+from cophy.training.run import METRICS, Run
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs" / "results" / "results.csv"
+LOGS = Path("outputs/reproduce")
+HEADLINE = {
+    "blocktower": ["3to3"],
+    "balls": ["4to4"],
+    "collision": ["all", "sphere_to_cylinder", "cylinder_to_sphere"],
+}
+UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay", "noise_floor_rate", "noise_floor_jitter"]
+TREES = ["trees", "trees_confounders"]
+NETWORKS = ["in", "npe", "cophynet", "cophynet_soap", "alongside", "in_sup"]
+ONCE = ["in_without_pose", "cophynet_without_pose"]  # one training seed on the default split
+ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
+SEEDS, DATA_SEEDS = (0, 1, 2), (0, 1)
+DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
+COST = {  # CPU-seconds per experiment, measured, and kB
+    ("blocktower", 3): (0.22, 23), ("blocktower", 4): (0.45, 33), ("balls", 2): (0.6, 20), ("balls", 3): (0.15, 24),
+    ("balls", 4): (0.14, 29), ("balls", 5): (0.15, 34), ("balls", 6): (0.2, 40), ("collision", 2): (0.04, 10),
+}  # fmt: skip
+AUDIT_HOURS, ORACLE_HOURS = 0.05, 0.25  # measured; for oracles on 100 experiments
+ORACLE_EXPERIMENTS = 100  # ours: a quarter of the test split of size=small
+
+
+@dataclass
+class Job:
+    """A command, the file that says that it is finished, and what is known of its cost."""
+
+    part: str
+    scenario: str
+    command: list[str]
+    finished: Path
+    hours: float = float("nan")
+    megabytes: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return " ".join(self.command)
+
+
+def main(parts: list[str], scenarios: list[str], size: str, workers: int, plan: bool) -> None:
+    """Print the plan and run it, part by part."""
+    register()
+    failed = []
+    for part in parts or PARTS:
+        jobs = [job for job in PARTS[part](size) if job.scenario in (scenarios or HEADLINE)]
+        left = [job for job in jobs if not job.finished.exists()]
+        print_plan(part, jobs, left)
+        if not plan:
+            failed += [job.name for job in run_all(left, workers)]
+    if failed:
+        sys.exit("failed: " + "\nfailed: ".join(failed))
+
+
+def data_jobs(size: str) -> Iterator[Job]:
+    """Datasets: all with data seed 0, those of the headline table with every data seed."""
+    for scenario, counts in DATASETS.items():
+        headline = settings("generate", f"scenario={scenario}").split.counts()
+        for count, seed in product(counts, DATA_SEEDS):
+            if seed == 0 or count in headline:
+                keys = [f"scenario={scenario}", f"num_objects=[{count}]", f"size={size}", f"data_seed={seed}"]
+                (states,) = generated_by(settings("generate", *keys))
+                seconds, kilobytes = (value * states.spec.num_experiments for value in COST[scenario, count])
+                command = ["generate", *keys, "workers=1"]
+                yield Job(
+                    "data", scenario, command, states.directory / "manifest.json", seconds / 3600, kilobytes / 1000
+                )
+
+
+def audit_jobs(size: str) -> Iterator[Job]:
+    """Audits of all datasets."""
+    for job in data_jobs(size):
+        page = Path("outputs/audit", job.scenario, job.finished.parent.name, "audit.md")
+        yield Job("audit", job.scenario, ["audit", *job.command[1:-1]], page, AUDIT_HOURS)
+
+
+def headline_jobs(size: str) -> Iterator[Job]:
+    """Rows of the headline table: first the first seed of everything, then the next."""
+    hours = pd.read_csv(RESULTS).groupby(["scenario", "model", "ablation"])["training_seconds"].median() / 3600
+    for seed, data_seed, (scenario, splits) in product(SEEDS, DATA_SEEDS, HEADLINE.items()):
+        for split in splits:
+            rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]
+            for row in [*rows, *ONCE] if seed == 0 and split == splits[0] else rows:
+                if row != "replay" or scenario == "collision":
+                    job, names = run_job("headline", scenario, split, row, size, seed, data_seed), methods()[row].keys()
+                    yield replace(job, hours=hours.get((scenario, names["model"], names["ablation"]), float("nan")))
+
+
+def oracle_jobs(size: str) -> Iterator[Job]:
+    """Oracles on the default splits."""
+    for data_seed, (scenario, splits), row in product(DATA_SEEDS, HEADLINE.items(), ORACLES):
+        changes = {"max_experiments": ORACLE_EXPERIMENTS}
+        job = run_job("oracles", scenario, splits[0], row, size, 0, data_seed, changes)
+        yield replace(job, hours=ORACLE_HOURS)
+
+
+def run_job(
+    part: str,
+    scenario: str,
+    split: str,
+    row: str,
+    size: str,
+    seed: int,
+    data_seed: int,
+    changes: dict[str, int] | None = None,
+) -> Job:
+    """Return the job of one run of train.py; `changes` are keys of its model."""
+    names = methods()[row].keys()
+    changed = {"size": size if size != "small" else None, "data_seed": data_seed or None, **(changes or {})}
+    variant = "".join(f"+{key}-{value}" for key, value in changed.items() if value is not None)
+    place = Run(
+        scenario, split, names["model"], names["ablation"], "ground_truth", seed, size, variant, directory=Path()
+    ).place
+    command = ["train", f"scenario={scenario}", f"split={split}", f"+row={row}", f"size={size}", f"seed={seed}"]
+    command += [f"data_seed={data_seed}", *(f"model.{key}={value}" for key, value in (changes or {}).items())]
+    command += ["workers=1", "trainer.enable_progress_bar=false"]
+    return Job(part, scenario, command, Path("outputs", place, METRICS))
+
+
+PARTS = {"data": data_jobs, "audit": audit_jobs, "headline": headline_jobs, "oracles": oracle_jobs}
+
+
+def print_plan(part: str, jobs: list[Job], left: list[Job]) -> None:
+    """Print what a part needs."""
+    table = Table(title=f"{part}: {len(left)} of {len(jobs)} jobs are left", title_justify="left")
+    for column in ("scenario", "left", "CPU-hours", "MB"):
+        table.add_column(column)
+    for scenario in dict.fromkeys(job.scenario for job in left):
+        of = [job for job in left if job.scenario == scenario]
+        hours = pd.Series([job.hours for job in of])
+        unknown = f" and {hours.isna().sum()} unknown" if hours.isna().any() else ""
+        table.add_row(scenario, str(len(of)), f"{hours.sum():.1f}{unknown}", f"{sum(job.megabytes for job in of):.0f}")
+    Console().print(table)
+
+
+def run_all(jobs: list[Job], workers: int) -> list[Job]:
+    """Run jobs side by side; return those that failed."""
+    LOGS.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor(workers) as pool:
+        codes = list(pool.map(run, jobs))
+    return [job for job, code in zip(jobs, codes, strict=True) if code]
+
+
+def run(job: Job) -> int:
+    """Run a job, with one thread; its output goes to a log."""
+    start, (script, *keys) = time.monotonic(), job.command
+    log = LOGS / ("_".join(job.command).replace("/", "-")[:200] + ".log")
+    with log.open("ab") as output:
+        process = subprocess.run(
+            [sys.executable, str(ROOT / "src" / f"{script}.py"), *keys],
+            stdout=output, stderr=subprocess.STDOUT, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=False,
+        )  # fmt: skip
+    outcome = "finished" if process.returncode == 0 else f"FAILED, see {log}"
+    print(f"{time.strftime('%H:%M:%S')} {job.name}: {outcome} after {time.monotonic() - start:.0f} s", flush=True)
+    return process.returncode
+
+
+if __name__ == "__main__":
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--scenario", dest="scenarios", action="append", choices=list(HEADLINE), help="only this one")
+    parser.add_argument("--size", default="small", help="of the datasets (default: small)")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count(), help="commands side by side (default: all cores)"
+    )
+    parser.add_argument("--plan", action="store_true", help="only print the plan")
+    main(**vars(parser.parse_args()))
