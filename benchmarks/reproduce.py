@@ -35,7 +35,7 @@ HEADLINE = {
 }
 UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay", "noise_floor_rate", "noise_floor_jitter"]
 TREES = ["trees", "trees_confounders"]
-NETWORKS = ["in", "npe", "cophynet", "cophynet_soap", "alongside", "in_sup"]
+NETWORKS = ["in", "npe", "cophynet", "cophynet_adam", "alongside", "in_sup"]
 ONCE = ["in_without_pose", "cophynet_without_pose"]  # one training seed on the default split
 ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
 SEEDS, DATA_SEEDS = (0, 1, 2), (0, 1)
@@ -139,7 +139,7 @@ def run_job(
     ).place
     command = ["train", f"scenario={scenario}", f"split={split}", f"+row={row}", f"size={size}", f"seed={seed}"]
     command += [f"data_seed={data_seed}", *(f"model.{key}={value}" for key, value in (changes or {}).items())]
-    command += ["workers=1", "trainer.enable_progress_bar=false"]
+    command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
     return Job(part, scenario, command, Path("outputs", place, METRICS))
 
 

@@ -133,7 +133,8 @@ def test_every_model_of_cophy_has_a_schema(path: Path) -> None:
     (first, *_) = OmegaConf.load(path).defaults
     ((name, schema),) = first.items() if OmegaConf.is_dict(first) else [(first, None)]
     if schema is None:
-        assert path.with_name(f"{name.partition('@')[0]}.yaml").exists()
+        name = name.partition("@")[0].removeprefix("/model/")
+        assert path.with_name(f"{name}.yaml").exists()
     else:
         assert schema in {*cophy.models.__all__, "oracle"}
 

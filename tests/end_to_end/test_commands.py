@@ -25,7 +25,7 @@ def test_a_run_leaves_metrics_predictions_curves_and_checkpoints(trained_run: Pa
     curves = EventAccumulator(str(next(trained_run.parents[5].rglob("events.out.tfevents.*")).parent))
     curves.Reload()
     scalars = set(curves.Tags()["scalars"])
-    assert {"mse/val", "mse/test", "train/mse", "val/stability_accuracy", "train/lr-Adam"} <= scalars
+    assert {"mse/val", "mse/test", "train/mse", "val/stability_accuracy", "train/lr-SOAP"} <= scalars
     assert "train/gradient_norm" in scalars
     assert "epoch" not in scalars
     assert any(name.startswith("per_cell/") for name in scalars)
