@@ -35,8 +35,8 @@ HEADLINE = {
 }
 UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay", "noise_floor_rate", "noise_floor_jitter"]
 TREES = ["trees", "trees_confounders"]
-NETWORKS = ["in", "npe", "cophynet", "cophynet_adam", "alongside", "in_sup"]
-ONCE = ["in_without_pose", "cophynet_without_pose"]  # one training seed on the default split
+NETWORKS = ["in", "npe", "cophynet", "alongside", "in_sup"]
+ONCE = ["cophynet_adam", "in_without_pose", "cophynet_without_pose"]  # one training seed on the default split
 ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
 SEEDS, DATA_SEEDS = (0, 1, 2), (0, 1)
 DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
