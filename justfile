@@ -3,8 +3,9 @@ bin := ".venv/bin"
 
 # "$@" passes arguments to a command unchanged, quoted or not
 set positional-arguments
-# the lock file is for Python 3.11; other versions install what pyproject.toml allows, with the same torch
-packages := if python =~ "python3.11$" { "-r requirements.lock" } else { "torch==2.13.0 -e '.[dev,docs]'" }
+torch := "torch==2.13.0" # not in the lock file, since its builds have different hashes; one that is there already is kept
+# the lock file is for Python 3.11; other versions install what pyproject.toml allows
+packages := if python =~ "python3.11$" { "--no-deps --require-hashes -r requirements.lock" } else { torch + " -e '.[dev,docs]'" }
 
 demo := "+table=collision split=all hydra.sweep.dir=outputs/demo"
 
@@ -14,7 +15,15 @@ default:
 
 # create .venv with the locked packages (again only when the lock file changes)
 setup:
-    @cmp -s requirements.lock .venv/requirements.lock || ({{python}} -m venv .venv && {{bin}}/pip install {{packages}} && {{bin}}/pip install --no-deps -e . && cp requirements.lock .venv/)
+    @cmp -s requirements.lock .venv/requirements.lock || ({{python}} -m venv .venv && {{bin}}/pip install {{packages}} && {{bin}}/pip install {{torch}} && {{bin}}/pip install --no-deps --no-build-isolation -e . && cp requirements.lock .venv/)
+
+# write the hashes of requirements.lock, after a version in it was changed
+lock:
+    {{bin}}/uv pip compile --quiet --upgrade --no-deps --generate-hashes --no-annotate --custom-compile-command "just lock" requirements.lock -o requirements.lock
+
+# write sbom.json, a CycloneDX list of the installed packages
+sbom: setup
+    {{bin}}/uvx --from cyclonedx-bom==7.5.0 cyclonedx-py environment .venv --output-file sbom.json
 
 # draw collisions, train and test five models on them, and report tables and figures (minutes on two cores)
 demo: setup

@@ -21,6 +21,11 @@ def test_a_temporary_file_is_abandoned_when_its_process_has_ended(tmp_path: Path
     assert subprocess.run([sys.executable, "-c", killed, str(tmp_path / "shard.h5")], check=False).returncode == 9
     (temporary,) = tmp_path.glob("shard.h5.*.tmp")
     assert is_abandoned(temporary)
+    shutil.copy(temporary, tmp_path / f"{temporary.name}-wal")
+    (tmp_path / "shard.h5.draft.tmp").touch()  # of somebody else
+    with appearing_whole(tmp_path / "shard.h5") as second:
+        second.write_bytes(b"whole")
+    assert {path.name for path in tmp_path.iterdir()} == {"shard.h5", "shard.v2.h5", "shard.h5.draft.tmp"}
 
 
 def test_a_temporary_file_of_another_machine_is_abandoned_after_a_day(tmp_path: Path) -> None:

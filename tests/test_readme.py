@@ -117,3 +117,10 @@ def test_the_readme_reads_data_from_python(tiny_data: Path, tmp_path: Path) -> N
     code = code.replace('size="tiny"', f'size="tiny", data_dir={str(tiny_data)!r}')
     (tmp_path / "own.py").write_text(code + "print(len(data), tuple(positions.shape), tuple(mass.shape))\n")
     assert run(tmp_path, "own.py").split("\n")[-2] == "34 (2, 120, 9, 3) (9,)"
+
+
+def test_locked_packages_have_hashes_and_tools_have_versions() -> None:
+    requirements = (ROOT / "requirements.lock").read_text().replace("\\\n", "").splitlines()
+    assert [line for line in requirements if not re.match(r"#|\S+==\S+ +--hash=sha256:[0-9a-f]{64}", line)] == []
+    texts = [path.read_text() for path in (*PAGES, ROOT / ".ci" / "run")]
+    assert [text for text in texts if re.search(r"rust-just(?!==\d)", text)] == []

@@ -1,6 +1,7 @@
 """Files that are written whole or not at all, and named if the disk is full."""
 
 import errno
+import glob
 import hashlib
 import os
 import shutil
@@ -44,11 +45,13 @@ def appearing_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to; it is flushed and renamed at the end, or removed after an error.
 
     The temporary name is unique, so that processes on any machines can write the same file. It contains the process that
-    writes it, see `is_abandoned`.
+    writes it, see `is_abandoned`; what killed processes left of the same file is removed first.
 
     Raises:
         OSError: It cannot be written or the disk is full; the error names `path`.
     """
+    digits = "[0-9a-f]" * 8
+    _remove_abandoned(path.parent, f"{glob.escape(path.name)}.{digits}-*-{digits}.tmp*")  # and SQLite's .tmp-wal
     temporary = path.with_name(f"{path.name}.{MACHINE}-{os.getpid()}-{uuid4().hex[:8]}.tmp")
     try:
         yield temporary
@@ -91,8 +94,8 @@ def without_leftovers(directory: Path) -> Iterator[None]:
         _remove_abandoned(directory)
 
 
-def _remove_abandoned(directory: Path) -> None:
-    for temporary in directory.glob("*.tmp*"):
+def _remove_abandoned(directory: Path, pattern: str = "*.tmp*") -> None:
+    for temporary in directory.glob(pattern):
         if is_abandoned(temporary):
             temporary.unlink(missing_ok=True)
 

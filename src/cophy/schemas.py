@@ -342,6 +342,7 @@ class StudyConfig(MakeDataConfig):
     welcome: str | None = None
     host: str = MISSING
     port: int = MISSING
+    allowed_hosts: list[str] = MISSING
     trusted_proxies: str = MISSING
 
     def __post_init__(self) -> None:

@@ -71,10 +71,10 @@ def open_clip(path: Path) -> cv2.VideoCapture:
     if path.is_symlink() or not path.is_file():
         raise BrokenFileError(f"{path} is not a regular file")
     with open(path, "rb") as file:
-        start = file.read(8)
-    if start[4:] != MP4_BRAND:
-        raise BrokenFileError(f"{path} is not an MP4 file")
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        if file.read(8)[4:] != MP4_BRAND:
+            raise BrokenFileError(f"{path} is not an MP4 file")
+        # not by name: FFmpeg reads f%d.bmp as a pattern of names
+        capture = cv2.VideoCapture(f"/dev/fd/{file.fileno()}", cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise BrokenFileError(f"{path} cannot be decoded")
     return capture

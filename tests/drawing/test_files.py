@@ -83,6 +83,14 @@ def test_a_video_is_read_and_a_playlist_named_like_one_is_not(tmp_path: Path) ->
         read_frames(tmp_path / "AB.mp4")
 
 
+def test_the_name_of_a_video_is_not_read_as_a_pattern(tmp_path: Path) -> None:
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"f{number}.bmp"), np.zeros((32, 32, 3), np.uint8))
+    (tmp_path / "f%d.bmp").write_bytes(b"\0\0\0\x18ftypisom" + bytes(64))
+    with pytest.raises(CophyError, match=r"f%d\.bmp is not a readable video"):
+        read_frames(tmp_path / "f%d.bmp")
+
+
 def test_too_many_pixels_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clip(tmp_path / "AB.mp4", 5, 5, 512)
     monkeypatch.setattr(files, "MAX_PIXEL_BYTES", 3 << 20)

@@ -19,6 +19,7 @@ from cophy.study.server import make_app, welcome_text
 from cophy.study.sessions import Sessions
 from tests.conftest import tiny_spec
 
+HOSTS = ("testserver", "study.example")
 GENEROUS = Limits(requests_per_second=10_000, people_per_minute=10_000)
 SMALL = StudySettings(seed=0, num_pairs=2, num_assignments=1, seconds=10.0, tolerance_s=3.0, resolution=64)
 
@@ -48,7 +49,7 @@ class Site:
     def browser(self, **options: Any) -> TestClient:
         """Return a browser without a session."""
         welcome = welcome_text(None, self.sessions.settings)
-        return TestClient(make_app(self.sessions, welcome, self.limits), **options)
+        return TestClient(make_app(self.sessions, welcome, self.limits, HOSTS), **options)
 
     def participant(self) -> TestClient:
         """Return a browser whose participant has agreed."""

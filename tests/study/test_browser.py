@@ -18,7 +18,7 @@ from cophy.study.experiments import StudyExperiments
 from cophy.study.server import make_app, welcome_text
 from cophy.study.sessions import Sessions
 from tests.conftest import tiny_spec
-from tests.study.conftest import GENEROUS, SMALL, Site
+from tests.study.conftest import GENEROUS, HOSTS, SMALL, Site
 
 CHROMIUM = shutil.which("chromium")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's package chromium")]
@@ -42,7 +42,7 @@ def served(large: StudyExperiments, tmp_path: Path) -> Iterator[tuple[Site, str]
     path = tmp_path / "answers.sqlite"
     store = AnswerStore(path)
     site = Site(Sessions(store, large, PERSON), path, clock=time.time)  # type: ignore[arg-type]
-    app = make_app(site.sessions, welcome_text(None, large.settings), GENEROUS)
+    app = make_app(site.sessions, welcome_text(None, large.settings), GENEROUS, HOSTS)
     server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="warning"))
     thread = threading.Thread(target=server.run)
     thread.start()

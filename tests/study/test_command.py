@@ -6,6 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from cophy.atomic_files import MACHINE
 from cophy.study.answers import exclusive
 from cophy.study.experiments import StudyExperiments
 from cophy.study.server import listen
@@ -26,7 +27,9 @@ def simulated(experiments: StudyExperiments, tiny_data: Path, tmp_path_factory: 
     directory = outputs / "study" / "blocktower"
     shutil.copytree(experiments.directory, directory)
     backup, stale = directory / "simulated.sqlite.2026-pilot", directory / "simulated.sqlite-wal"
-    for path in (backup, stale):
+    killed = f"simulated.sqlite.{MACHINE}-{10**9}-0123abcd.tmp"  # no process has this number
+    leftovers = [directory / f"{killed}{suffix}" for suffix in ("", "-wal", "-shm")]
+    for path in (backup, stale, *leftovers):
         path.write_bytes(b"of another file")
     printed = study("action=simulate", data=tiny_data, directory=directory)
     assert "noisy_oracle" in printed

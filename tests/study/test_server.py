@@ -2,19 +2,26 @@
 
 import json
 import logging
+import shutil
+import socket
+import threading
 from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
+import uvicorn
 from httpx import Response
 from starlette.testclient import TestClient
 
 from cophy.errors import CophyError
+from cophy.study import server as server_module
 from cophy.study.plan import Limits
-from cophy.study.server import listen, make_app, welcome_text
-from tests.study.conftest import GENEROUS, SMALL, Site, answer_to, take_task
+from cophy.study.server import listen, make_app, serve, welcome_text
+from tests.study.conftest import GENEROUS, HOSTS, SMALL, Site, answer_to, take_task
 
 JSON = {"content-type": "application/json"}
 CLICK = {"x": 3, "y": 4, "at_ms": 5}
@@ -124,11 +131,48 @@ def test_no_path_leads_out_of_the_web_folder(site: Site) -> None:
 
 def test_another_site_changes_nothing(site: Site) -> None:
     participant, browser = site.participant(), site.browser()
-    for origin in ("https://evil.example", "http://[", "null", "http://", "http://testserver.evil.example"):
+    for origin in (
+        "https://evil.example",
+        "http://[",
+        "null",
+        "http://",
+        "http://testserver.evil.example",
+        "https://testserver",
+    ):
         headers = {"origin": origin}
         assert participant.post("/api/assignments/0/begin", json={}, headers=headers).status_code == 403
         assert browser.post("/api/consent", json={"agreed": True}, headers=headers).status_code == 403
     assert site.rows("SELECT count(*), count(begun_at) FROM participants LEFT JOIN answers ON 1") == [(1, 0)]
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        *((host, 200) for host in ("testserver", "Study.Example", "localhost:8000", "127.0.0.1:8000", "[::1]:8000")),
+        *((host, 400) for host in ("evil.example", "evil.example:8000", "localhost.evil.example", "127.0.0.1.nip.io")),
+        *((host, 400) for host in ("", "[", "[::1", "localhost.", "0x7f.1", ":8000")),
+    ],
+)
+def test_only_allowed_host_names_are_served(site: Site, host: str, status: int) -> None:
+    """The page of another site, whose name points to this machine, has the same host and origin."""
+    headers = {"host": host, "origin": f"http://{host}"}
+    assert site.browser().get("/", headers=headers).status_code == status
+    assert site.browser().post("/api/consent", json={"agreed": True}, headers=headers).status_code == status
+    assert site.rows("SELECT count(*) FROM participants") == [(int(status == 200),)]
+
+
+@pytest.mark.parametrize("path", ["/web", "/media/0/picture/", "/api/place/", "//evil.example/web"])
+def test_nothing_is_redirected(site: Site, path: str) -> None:
+    response = site.participant().get(f"http://testserver{path}", follow_redirects=False)
+    assert response.status_code == 404
+    assert "location" not in response.headers
+
+
+def test_a_body_whose_length_is_stated_twice_is_refused_and_the_connection_closed(site: Site) -> None:
+    headers = {"transfer-encoding": "chunked", "content-length": "16", **JSON}
+    response = site.browser().post("/api/consent", content=b'{"agreed": true}', headers=headers)
+    assert (response.status_code, response.headers["connection"]) == (400, "close")
+    assert site.rows("SELECT count(*) FROM participants") == [(0,)]
 
 
 def test_nobody_takes_part_without_consent_and_valid_ids(site: Site) -> None:
@@ -169,7 +213,7 @@ def test_every_response_has_the_headers(site: Site) -> None:
 
 def test_markup_in_the_welcome_text_is_shown_as_text(site: Site) -> None:
     welcome = "# Hello\n<script>alert(1)</script> [x](javascript:alert(1))"
-    html = TestClient(make_app(site.sessions, welcome, GENEROUS)).get("/api/welcome").json()["html"]
+    html = TestClient(make_app(site.sessions, welcome, GENEROUS, HOSTS)).get("/api/welcome").json()["html"]
     assert "<h1>Hello</h1>" in html
     assert "<script" not in html
     assert 'href="javascript' not in html
@@ -254,3 +298,72 @@ def test_an_answer_that_cannot_be_stored_is_stored_when_it_is_sent_again(
     db.execute("PRAGMA query_only=OFF")
     assert browser.post("/api/assignments/0/answer", json=answer).status_code == 200
     assert site.rows("SELECT count(*) FROM answers WHERE answered_at IS NOT NULL") == [(1,)]
+
+
+@pytest.mark.parametrize("name", ["answers.sqlite", "answers.sqlite-wal"])
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_no_answer_is_acknowledged_while_the_file_is_not_in_place(site: Site, name: str, is_replaced: bool) -> None:
+    browser, answer = site.begun()
+    path, moved = site.path.with_name(name), site.path.with_name("moved")
+    path.rename(moved)
+    if is_replaced:
+        shutil.copy(moved, path)
+    response = browser.post("/api/assignments/0/answer", json=answer)
+    assert response.status_code == 503
+    assert "load this page again" in response.json()["error"]
+    moved.replace(path)
+    assert browser.post("/api/assignments/0/answer", json=answer).status_code == 200
+    assert site.rows("SELECT count(*) FROM answers WHERE answered_at IS NOT NULL") == [(1,)]
+
+
+HALF = b"POST /api/consent HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 99\r\n\r\n{"
+
+
+@pytest.fixture
+def address(site: Site, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, int]]:
+    """Where a real server serves the study to at most five connections."""
+    servers: list[uvicorn.Server] = []
+
+    class Server(uvicorn.Server):
+        def __init__(self, config: uvicorn.Config) -> None:
+            super().__init__(config)
+            servers.append(self)
+
+    monkeypatch.setattr(uvicorn, "Server", Server)
+    monkeypatch.setattr(server_module, "MAX_CONNECTIONS", 5)
+    with listen("127.0.0.1", 0) as listener:
+        app = make_app(site.sessions, "", GENEROUS, ())
+        thread = threading.Thread(target=serve, args=(app, listener, ""))
+        thread.start()
+        try:
+            yield listener.getsockname()
+        finally:
+            servers[0].should_exit = True
+            thread.join()
+
+
+@pytest.mark.parametrize("sent", [b"", HALF[:40], HALF], ids=["nothing", "half a head", "half a body"])
+def test_connections_that_wait_keep_nobody_out(address: tuple[str, int], sent: bytes) -> None:
+    with ExitStack() as stack:
+        for _ in range(20):
+            stack.enter_context(socket.create_connection(address)).sendall(sent)
+        assert httpx.get(f"http://127.0.0.1:{address[1]}/api/welcome").status_code == 200
+
+
+@pytest.mark.parametrize("sent", [b"", HALF[:40], HALF], ids=["nothing", "half a head", "half a body"])
+def test_a_connection_that_waits_is_closed(
+    address: tuple[str, int], sent: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server_module, "REQUEST_S", 0.3)
+    with socket.create_connection(address, timeout=10) as connection:
+        connection.sendall(sent)
+        with suppress(ConnectionResetError):  # it was closed before it had read everything
+            assert connection.recv(1) == b""
+
+
+def test_a_body_that_is_cut_off_is_not_logged(address: tuple[str, int], caplog: pytest.LogCaptureFixture) -> None:
+    for _ in range(5):
+        with socket.create_connection(address) as connection:
+            connection.sendall(HALF)
+    assert httpx.get(f"http://127.0.0.1:{address[1]}/api/place").status_code == 401  # so those have ended
+    assert not [record for record in caplog.records if record.levelno >= logging.WARNING]

@@ -1,6 +1,7 @@
 """Participants take the study over HTTP: order, clock, restarts, and what is stored."""
 
 import sqlite3
+import time
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,29 @@ def test_the_server_keeps_the_clock_and_starts_it_once(site: Site) -> None:
     site.clock.now += 4
     assert browser.post("/api/assignments/0/begin", json={}).json()["remaining_s"] == 6
     assert browser.get("/api/place").json()["remaining_s"] == 6
+
+
+@pytest.mark.parametrize("hours", [-1, 1])
+def test_setting_the_clock_of_the_machine_changes_no_deadline(
+    site: Site, hours: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, error_s = time.time, [0.0]
+    monkeypatch.setattr(time, "time", lambda: real() + error_s[0])
+    sessions = Sessions(site.sessions.store, site.sessions.experiments, PERSON)
+    token = sessions.consent(None)
+    sessions.begin(token, 0)
+    error_s[0] = 3600.0 * hours
+    place = sessions.place(token)
+    assert place.position == 0
+    assert place.remaining_s == pytest.approx(10, abs=5)
+
+
+def test_a_clock_that_was_set_back_before_a_restart_gives_nobody_time(site: Site) -> None:
+    browser, answer = site.begun()
+    site.clock.now -= 3600
+    assert browser.post("/api/assignments/0/answer", json=answer).status_code == 409
+    assert browser.get("/api/place").json()["position"] == 1
+    assert site.rows("SELECT late FROM answers WHERE position=0") == [(1,)]
 
 
 def test_an_answer_within_the_tolerance_counts_and_a_later_one_does_not(site: Site) -> None:

@@ -68,7 +68,8 @@ def _serve(config: StudyConfig, experiments: "StudyExperiments") -> None:
         experiments.draw_missing(workers=config.workers)
         address, port, *_ = listener.getsockname()
         log.info("study %s on http://%s:%d/; answers: %s", experiments.study_id, address, port, path.parent)
-        app = make_app(Sessions(store, experiments, PERSON), welcome, config.limits)
+        hosts = (config.host, *config.allowed_hosts)
+        app = make_app(Sessions(store, experiments, PERSON), welcome, config.limits, hosts)
         serve(app, listener, config.trusted_proxies)
 
 

@@ -19,6 +19,7 @@ To delete a participant's answers: `SELECT id FROM participants WHERE code = '..
 `participant` is this id, then from `participants`. The next new participant takes the free place in the plan.
 """
 
+import os
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -130,7 +131,8 @@ class AnswerStore:
             CophyError: It is damaged, not an answer file, in use or not writable.
             OSError: The disk is full.
         """
-        self._lock = threading.RLock()
+        self._lock, self._path = threading.RLock(), path
+        self._files: list[tuple[int, int] | None] | None = None  # see `_identify`; None until they exist
         with naming_file(path):
             self._connection = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=30)
             try:
@@ -138,6 +140,7 @@ class AnswerStore:
             except BaseException:
                 self._connection.close()
                 raise
+        self._files = self._identify()
 
     def _prepare(self, path: Path) -> None:
         self._connection.row_factory = sqlite3.Row
@@ -154,10 +157,29 @@ class AnswerStore:
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Write everything that is written inside to disk at the end, or nothing of it."""
-        with self._lock, self._connection:  # the connection commits, or rolls back on an error
-            self._connection.execute("BEGIN IMMEDIATE")
-            yield self._connection
+        """Write everything that is written inside to disk at the end, or nothing of it.
+
+        Raises:
+            CophyError: The file was moved, deleted or replaced, so that what was written may be lost.
+        """
+        with self._lock:
+            with self._connection:  # it commits, or rolls back on an error
+                self._connection.execute("BEGIN IMMEDIATE")
+                yield self._connection
+            if self._files not in (None, self._identify()):
+                raise CophyError(f"{self._path} or its -wal was moved: put it back, or start the study again")
+
+    def _identify(self) -> list[tuple[int, int] | None]:
+        """Return device and inode of the file and its log; SQLite writes to the open files, wherever they are."""
+        files: list[tuple[int, int] | None] = []
+        for path in (self._path, f"{self._path}-wal"):
+            try:
+                status = os.stat(path)
+            except FileNotFoundError:
+                files.append(None)
+            else:
+                files.append((status.st_dev, status.st_ino))
+        return files
 
     def close(self) -> None:
         """Close the file."""

@@ -3,7 +3,9 @@
 Of the experiments, it sends only what the participant's current task shows.
 """
 
+import asyncio
 import errno
+import ipaddress
 import json
 import logging
 import math
@@ -12,10 +14,11 @@ import socket
 import sqlite3
 import time
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import uvicorn
 from anyio.to_thread import run_sync
@@ -23,10 +26,11 @@ from markdown_it import MarkdownIt
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cophy.errors import CophyError
 from cophy.study.answers import RefusedError
@@ -38,6 +42,7 @@ log = logging.getLogger(__name__)
 
 MAX_CONNECTIONS = 500
 KEEP_ALIVE_S = 15
+REQUEST_S = 60  # ours: time for a request to begin, and then to be answered; a database in use fails after 30 s
 MAX_BODY_BYTES = 4096  # an answer about nine objects has about 700
 MAX_ADDRESSES = 10_000  # whose rates are remembered
 BURST_S = 5.0  # requests of so many seconds may arrive at once
@@ -78,18 +83,59 @@ class Rate:
         return left >= 1
 
 
-def _guards(requests_per_second: float) -> Callable[[Request, RequestResponseEndpoint], Awaitable[Response]]:
+class Connection(H11Protocol):
+    """A connection that keeps nobody out: of more than MAX_CONNECTIONS, the one closest to its deadline is closed."""
+
+    deadline: asyncio.TimerHandle
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self.deadline = self.loop.call_later(REQUEST_S, transport.abort)
+        if len(self.connections) > MAX_CONNECTIONS:
+            connections = [each for each in self.connections if isinstance(each, Connection)]
+            oldest = min(connections, key=lambda each: each.deadline.when())
+            self.connections.discard(oldest)
+            oldest.transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        before = self.cycle
+        super().data_received(data)
+        if self.cycle is not before:  # a request has begun
+            self._renew()
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._renew()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self.deadline.cancel()
+
+    def _renew(self) -> None:
+        """Set the deadline anew. Parts of a request do not, so that a slow one ends, too."""
+        self.deadline.cancel()
+        self.deadline = self.loop.call_later(REQUEST_S, self.transport.abort)
+
+
+def _guards(
+    requests_per_second: float, allowed_hosts: Collection[str]
+) -> Callable[[Request, RequestResponseEndpoint], Awaitable[Response]]:
     """Return a middleware that limits requests, adds headers, and answers errors with JSON."""
     rate = Rate(requests_per_second, BURST_S * requests_per_second)
+    names = {"localhost", *(name.lower() for name in allowed_hosts)}
 
     async def respond(request: Request, call_next: RequestResponseEndpoint) -> Response:
         try:
             if not rate.allows(request.client.host if request.client else ""):
                 raise RefusedError(429, "Too many requests.")
+            _check_headers(request, names)
             response = await call_next(request)
+        except ClientDisconnect:
+            response = Response(status_code=400)  # to nobody
         except RefusedError as error:
-            response = JSONResponse({"error": error.reason}, error.status)
-        except sqlite3.Error as error:  # a full disk, or a file that another program locks
+            # the rest of a body that was not read must not become the next request
+            response = JSONResponse({"error": error.reason}, error.status, {"Connection": "close"})
+        except (sqlite3.Error, CophyError) as error:  # a full disk, or a file that another program locks or moved
             log.error("%s %r: the answer file: %s", request.method, request.url.path, error)
             response = JSONResponse({"error": FAILED}, 503)
         except Exception as error:  # details are logged, not sent
@@ -101,6 +147,26 @@ def _guards(requests_per_second: float) -> Callable[[Request, RequestResponseEnd
     return respond
 
 
+def _check_headers(request: Request, names: Collection[str]) -> None:
+    """Check what a proxy or a browser could understand in another way than this server.
+
+    Args:
+        request: Any request.
+        names: Allowed host names. Addresses are allowed, too: only names can be made to point here by another site.
+
+    Raises:
+        RefusedError: Its host is not allowed, or its length is stated twice.
+    """
+    try:
+        name = urlsplit(f"//{request.headers.get('host', '')}").hostname or ""
+        if name not in names:
+            ipaddress.ip_address(name)
+    except ValueError as error:
+        raise RefusedError(400, "This study has no such host name; allowed_hosts= lists its names.") from error
+    if "content-length" in request.headers and "transfer-encoding" in request.headers:
+        raise RefusedError(400, "A request has Content-Length or Transfer-Encoding, not both.")
+
+
 async def _read_json(request: Request) -> Any:
     """Return the decoded body of a request of our own pages.
 
@@ -108,7 +174,7 @@ async def _read_json(request: Request) -> Any:
         RefusedError: It is too large, not JSON, or sent by another site.
     """
     origin = request.headers.get("origin")
-    if origin is not None and origin.partition("://")[2] != request.headers.get("host"):
+    if origin is not None and origin != f"{request.scope['scheme']}://{request.headers.get('host')}":
         raise RefusedError(403, "This request comes from another site.")
     if request.headers.get("content-type", "").split(";")[0] != "application/json":
         raise RefusedError(415, "This is not JSON.")
@@ -123,13 +189,14 @@ async def _read_json(request: Request) -> Any:
         raise RefusedError(400, "This is not JSON.") from error
 
 
-def make_app(sessions: Sessions, welcome: str, limits: Limits) -> Starlette:
+def make_app(sessions: Sessions, welcome: str, limits: Limits, allowed_hosts: Collection[str]) -> Starlette:
     """Return a study as an ASGI application.
 
     Args:
         sessions: Its participants.
         welcome: Text of the first page, Markdown; HTML in it is shown as text.
         limits: Limits of one address.
+        allowed_hosts: Names by which browsers reach it, besides addresses and localhost.
     """
     pages = _Pages(sessions, welcome, limits)
     routes = [
@@ -142,8 +209,10 @@ def make_app(sessions: Sessions, welcome: str, limits: Limits) -> Starlette:
         Route("/media/{position:int}/{kind}", pages.media),
         Mount("/web", StaticFiles(directory=WEB)),
     ]
-    guards = Middleware(BaseHTTPMiddleware, dispatch=_guards(limits.requests_per_second))
-    return Starlette(routes=routes, middleware=[guards])
+    guards = Middleware(BaseHTTPMiddleware, dispatch=_guards(limits.requests_per_second, allowed_hosts))
+    app = Starlette(routes=routes, middleware=[guards])
+    app.router.redirect_slashes = False  # every page has one address
+    return app
 
 
 class _Pages:
@@ -245,8 +314,9 @@ def serve(app: Starlette, listener: socket.socket, trusted_proxies: str) -> None
     """
     config = uvicorn.Config(
         app,
+        http=Connection,
+        ws="none",
         forwarded_allow_ips=trusted_proxies,
-        limit_concurrency=MAX_CONNECTIONS,
         timeout_keep_alive=KEEP_ALIVE_S,
         access_log=False,
         server_header=False,

@@ -6,6 +6,7 @@ import json
 import secrets
 import sqlite3
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from cophy.study.answers import AnswerStore, RefusedError, check_answer
@@ -51,7 +52,10 @@ class Sessions:
 
     def __init__(self, store: AnswerStore, experiments: StudyExperiments, kind: str) -> None:
         self.store, self.experiments, self.kind = store, experiments, kind
-        self.study, self.settings, self.now = experiments.study_id, experiments.settings, time.time
+        self.study, self.settings = experiments.study_id, experiments.settings
+        offset = time.time() - time.monotonic()
+        # setting the machine's clock moves no deadline
+        self.now: Callable[[], float] = lambda: offset + time.monotonic()
         with store.transaction() as db:
             db.execute("INSERT OR IGNORE INTO studies VALUES (?, ?)", (self.study, experiments.description))
 
@@ -166,7 +170,8 @@ class Sessions:
         )
         query = "SELECT begun_at FROM answers WHERE participant=? AND position=?"
         (begun_at,) = db.execute(query, (participant, position)).fetchone()
-        return None if begun_at is None else self.settings.seconds - (self.now() - begun_at)
+        # abs: a clock that was set back before a restart adds no time
+        return None if begun_at is None else self.settings.seconds - abs(self.now() - begun_at)
 
     def _write(self, db: sqlite3.Connection, place: Place, answer: dict[str, Any] | None) -> None:
         """Store the answer to the current task; None is an answer that did not come in time."""
