@@ -222,8 +222,7 @@ class FrameDataModule(L.LightningDataModule):
 
     def train_dataloader(self) -> DataLoader[FrameBatch]:
         batches = shuffled_batches(self.train, self.batch_size, seed=self.seed, share=DeviceShare.of(self.trainer))
-        # the sampler itself, so that Lightning sets its epoch
-        return self._loader(self.train, sampler=batches.sampler, batch_size=batches.batch_size)
+        return self._loader(self.train, **batches)
 
     def val_dataloader(self) -> DataLoader[FrameBatch]:
         return self._in_order(self.val)
