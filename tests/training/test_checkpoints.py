@@ -272,6 +272,17 @@ def test_a_restored_network_is_the_one_that_was_saved(choice: str) -> None:
         assert torch.equal(saved_tensor, tensor)
 
 
+def test_a_restored_network_has_single_precision_whatever_the_callers_default_is() -> None:
+    model = model_of("model=in")
+    weights = build_network(model).state_dict()
+    torch.set_default_dtype(torch.float64)
+    try:
+        tensors = tensors_of(restored(model, weights))
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert {tensor.dtype for tensor in tensors if tensor.is_floating_point()} == {torch.float32}
+
+
 def wide(hidden_dim: int) -> dict[str, Any]:
     return model_of("model=in") | {"hidden_dim": hidden_dim}
 

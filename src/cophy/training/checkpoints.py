@@ -345,7 +345,7 @@ def restore_network(checkpoint: Checkpoint, source: Path) -> nn.Module:
             expected = build_network(model)
         if name := _differing_weight(weights, expected.state_dict()):
             raise ValueError(f"{name} does not fit {model['_target_']} as it is now")
-        network = build_network(model)
+        network = build_network(model).float()  # whatever the caller's default is
         network.load_state_dict(weights)
     except (CophyError, AssertionError, RuntimeError, TypeError, ValueError) as error:  # constructors of cophy.models
         raise misfit(source, error) from error

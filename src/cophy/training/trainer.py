@@ -108,6 +108,8 @@ def make_trainer(
         )
     except (TypeError, ValueError, RuntimeError, MisconfigurationException) as error:  # it takes nothing but arguments
         raise CophyError(f"trainer: {error}") from error
+    if trainer.accumulate_grad_batches < 1:
+        raise CophyError(f"trainer.accumulate_grad_batches={trainer.accumulate_grad_batches} must be at least 1")
     cores = os.cpu_count() or 1
     if isinstance(trainer.accelerator, CPUAccelerator) and trainer.num_devices > MAX_PROCESSES_PER_CORE * cores:
         raise CophyError(f"trainer.devices={trainer.num_devices} starts as many processes, but there are {cores} cores")
