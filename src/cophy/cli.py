@@ -25,7 +25,7 @@ import yaml
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.object_type import ObjectType
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
@@ -56,9 +56,16 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
     register()
 
     def decorate(function: Callable[[DictConfig], Any]) -> Callable[[], None]:
+        if function.__module__ == "__main__":  # its first lines would run, and nothing else
+            sys.exit(f"{function.__code__.co_filename} is no program: run src/{name}.py, or cophy-{name}")
+
         @wraps(function)
         def task(cfg: DictConfig) -> Any:
             try:
+                if HydraConfig.get().job.chdir:
+                    raise CophyError(
+                        "hydra.job.chdir=true: data_dir= and other relative paths would be of each run's folder"
+                    )
                 return function(cfg)
             except Exception as error:  # a sweep continues with its other runs
                 if HydraConfig.get().mode is RunMode.MULTIRUN or not is_user_error(error):
@@ -102,8 +109,13 @@ def _list_failures(failures: list[str]) -> str:
 # Errors
 
 OWN_FOLDER = " (your own folder: --config-dir)"  # where else the file of a choice can be
-# how Hydra names a file of conf/ablation or conf/row that it cannot compose
-IN_A_FILE = re.compile(r"In '(ablation|row)/([\w/]+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)")
+# how Hydra names a file that it cannot compose
+IN_A_FILE = re.compile(r"In '(\w+)/([\w/]+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)")
+LOGGING_ERROR = "Unable to configure "  # Python's, before a run begins
+PACKAGES = {  # first lines of the files in these groups; those of ablations and rows have _global_
+    **dict.fromkeys(("optimizer", "schedule"), "training.{group}"),
+    **{"callbacks": "training.callbacks.{name}", "logger": "logger.{name}"},
+}
 SLURM_ERRORS = {  # text in errors of Hydra and submitit -> explanation
     'Could not detect "srun"': "hydra/launcher=slurm: there is no srun here, so this is no node of a SLURM cluster",
     "has not produced any output": "a job ended without a result; its output is in .submitit/ next to the runs; the same command continues",
@@ -115,7 +127,9 @@ def is_user_error(error: BaseException) -> bool:
     """Return whether the user can fix an error, so that one line is enough."""
     if isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOSPC):
         return True
-    return isinstance(error, HydraException | OmegaConfBaseException | CophyError) or _explain_slurm(error) != ""
+    if isinstance(error, HydraException | OmegaConfBaseException | CophyError) or str(error).startswith(LOGGING_ERROR):
+        return True
+    return _explain_slurm(error) != ""
 
 
 def explain(error: BaseException) -> str:
@@ -127,6 +141,10 @@ def explain(error: BaseException) -> str:
         return f"{os.fsdecode(error.filename)}: {error.strerror}"
     if slurm := _explain_slurm(error):
         return slurm
+    if str(error).startswith(LOGGING_ERROR):
+        return f"hydra.job_logging or hydra.job.name: {error} ({error.__cause__})"
+    if isinstance(error, OverrideParseException):
+        return f"{error.override} is not key=value; a value with = , : or blanks needs two pairs of quotes: \"data_dir='/a=b'\""
     if match := IN_A_FILE.match(str(error)):
         return _explain_file(*match.group(1, 2, 3))
     if "Could not override 'confounders'" in str(error):
@@ -137,8 +155,12 @@ def explain(error: BaseException) -> str:
         return f"{group}={name} does not exist{_suggest(name, error.options)}; there are {choices}{OWN_FOLDER}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if isinstance(cause, MissingMandatoryValue):
-        missing = OmegaConf.missing_keys(cause.parent_node) if cause.parent_node is not None else {str(cause.full_key)}
-        return f"{'=, '.join(sorted(missing))}= has no value; --help says what it is"
+        node, block = cause.parent_node, str(cause.full_key).rpartition(".")[0]
+        names = (
+            [str(key) for key in node if OmegaConf.is_missing(node, key)] if OmegaConf.is_dict(node) else [cause.key]
+        )
+        missing = "=, ".join(sorted(f"{block}.{name}" if block else str(name) for name in names))
+        return f"{missing}= has no value; --help says what it is"
     if isinstance(cause, OmegaConfBaseException) and cause.key is not None:
         what = (cause.msg or str(cause)).splitlines()[0]
         return f"{cause.full_key or cause.key}: {what}{_suggest_key(str(cause.key), cause.parent_node)}"
@@ -153,7 +175,10 @@ def _explain_slurm(error: BaseException) -> str:
 
 def _explain_file(group: str, name: str, what: str) -> str:
     if f"Key '{group}' not in" in what:
-        return f"{group}={name}: its YAML must start with the line '# @package _global_'"
+        package = PACKAGES.get(group, "_global_").format(group=group, name=name)
+        return f"{group}={name}: its YAML must start with the line '# @package {package}'"
+    if group not in ("ablation", "row"):
+        return f"{group}={name}: {what}"
     remedy = "; ablation=full goes with every model" if group == "ablation" else ""
     file = f" (conf/{group}/{name}.yaml sets it{remedy})" if (CONF / group / f"{name}.yaml").exists() else ""
     return f"{group}={name} does not go with this model: {what}{file}"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, make_dataclass
 from enum import Enum
 from functools import cache
 from inspect import Parameter, signature
+from ipaddress import ip_network
 from types import NoneType, UnionType
 from typing import Any, Optional, Union, get_args, get_origin, get_type_hints
 
@@ -83,8 +84,8 @@ class TrainerConfig:
                 raise ValueError(f"trainer.{key}=0: at least one batch is needed")
         if self.max_epochs == 0 or self.max_epochs < -1:
             raise ValueError(f"trainer.max_epochs={self.max_epochs} must be positive, or -1 for no limit")
-        if self.check_val_every_n_epoch < 1:
-            raise ValueError(f"trainer.check_val_every_n_epoch={self.check_val_every_n_epoch} must be at least 1")
+        _check_range("trainer.check_val_every_n_epoch", self.check_val_every_n_epoch, 1)
+        _check_range("trainer.log_every_n_steps", self.log_every_n_steps, 1)
 
     def check_validates(self) -> None:
         """Refuse a training without validation; one that resumes from a checkpoint may have its best epoch from there.
@@ -263,6 +264,11 @@ class TrainConfig(RenderDataConfig):
         _check_range("threads", self.threads, 1, MAX_THREADS)
         _check_range("figures_every_n_epochs", self.figures_every_n_epochs, 1)
         _check_range("num_images", self.num_images, 10)
+        for name, keys in self.logger.items():
+            if not isinstance(keys, dict):
+                raise ValueError(
+                    f"logger.{name} is no logger: its YAML starts with the line '# @package logger.<name>'"
+                )
         if self.ckpt is not None and self.predictor is not None:
             raise ValueError("ckpt= resumes a training, predictor= replaces one: give one of them")
         if self.ckpt is None:
@@ -351,6 +357,11 @@ class StudyConfig(MakeDataConfig):
             raise ValueError(f"action={self.action} is not among {', '.join(ACTIONS)}")
         _check_range("participants", self.participants, 2)
         _check_range("port", self.port, 0, 65535)
+        for address in self.trusted_proxies.replace("*", "").split(","):
+            try:
+                ip_network(address.strip() or "127.0.0.1")
+            except ValueError as error:
+                raise ValueError(f"trusted_proxies={self.trusted_proxies}: {error}") from error
 
 
 SCHEMAS: dict[str, dict[str, type]] = {

@@ -1,6 +1,7 @@
 """Configurations compose, ablations change only their own keys, and mistakes end with one line."""
 
 import re
+import runpy
 from functools import cache
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import cophy.models
 from cophy.cli import explain, is_user_error
 from cophy.config import composed, settings, to_config
 from cophy.dataset.splits import Split
+from cophy.errors import CophyError
 from tests.commands import run
 from tests.conftest import ROOT, SCENARIOS, cached_settings
 
@@ -202,13 +204,32 @@ MISTAKES = {
     "model=oracle_feedforward model.pose=true": "Key 'pose' not in",
     "positions=derendered model.object_type=true": "positions=derendered does not go with model.object_type=true: no de-renderer estimates it",
     "positions=train_ground_truth_test_derendered model.pose=true": "does not go with model.pose=true: no de-renderer estimates it",
+    "data_dir=/x=y": "data_dir=/x=y is not key=value; a value with = , : or blanks needs two pairs of quotes",
+    "collision": "collision is not key=value",
+    "hydra.job.chdir=true": "hydra.job.chdir=true: data_dir= and other relative paths would be of each run's folder",
+    "hydra.job.name=x/y": "hydra.job_logging or hydra.job.name: Unable to configure handler 'file' ([Errno 2]",
+    "hydra.job_logging.root.level=FOO": "Unable to configure root logger (Unknown level: 'FOO')",
+    "trainer.max_epochs=1 ~trainer": "has no value; --help says what it is",
+    "training.learning_rate=1e38": "the latter at most 1e+06",
+    "training.position_weight=nan": "noise and weights not negative",
+    "trainer.log_every_n_steps=-1": "trainer.log_every_n_steps=-1 must be at least 1",
+    "+trainer.accumulate_grad_batches=-3": "trainer.accumulate_grad_batches=-3 must be at least 1",
+    "scenario.clock.state_rate_hz=1000000": "states in a sequence are more than 10,000",
+    "scenario.clock.num_frames=100000000": "states in a sequence are more than 10,000",
+    "scenario.clock.state_rate_hz=35": "scenario.solver.step_rate_hz=960 must be a multiple of scenario.clock.state_rate_hz=35",
+    "scenario.gravity_z=1e30": "scenario.gravity_z=1e+30 must be negative",
+    "scenario.gravity_z=9.81": "scenario.gravity_z=9.81 must be negative",
+    "scenario.confounders.mass=[1e30]": "mass must be > 0 and at most 1e+06 kg",
+    "scenario.task.metric_dims=0": "scenario.task.metric_dims=0 must be 1, 2 or 3",
+    "size.num_experiments.blocktower.3=9223372036854775806": "9223372036854775806 experiments are more than 10,000,000",
+    "logger=[] +logger._target_=x": "logger._target_ is no logger: its YAML starts with the line",
 }
 
 
 # found only when a run starts, because constructors and Lightning refuse them
 IN_A_RUN = re.compile(
     r".*(_target_|ckpt|predictor|logger|hidden_dim=0|npe model|interaction=mlp|max_epoch=3 |trainer.max_epoch=|schedule"
-    r"|supervised|split=3to4|friction|positions=.* model)"
+    r"|supervised|hydra\.|.*~trainer|accumulate|split=3to4|friction|positions=.* model)"
 )
 COMPOSED = [mistake for mistake in MISTAKES if not IN_A_RUN.match(mistake)]
 SLOW = re.compile(
@@ -225,6 +246,36 @@ def test_a_mistake_ends_composing_with_one_line(mistake: str) -> None:
     assert MISTAKES[mistake] in message
     assert "\n" not in message
     assert len(message) < 500
+
+
+@pytest.mark.parametrize(
+    ("override", "package"),
+    [
+        *(("optimizer=mine", "training.optimizer"), ("schedule=mine", "training.schedule")),
+        *(("callbacks=[mine]", "training.callbacks.mine"), ("logger=[mine]", "logger.<name>")),
+    ],
+)
+def test_a_file_of_the_user_without_its_package_line_is_named(override: str, package: str, tmp_path: Path) -> None:
+    path = tmp_path / override.partition("=")[0] / "mine.yaml"
+    path.parent.mkdir()
+    path.write_text("_target_: nowhere.Mine\n")
+    with pytest.raises(Exception) as caught:  # noqa: PT011 (of several kinds)
+        settings("train", f"hydra.searchpath=[file://{tmp_path}]", override)
+    assert is_user_error(caught.value)
+    assert f"with the line '# @package {package}'" in explain(caught.value)
+
+
+@pytest.mark.parametrize("addresses", ["notanip", "300.0.0.1/99", "10.0.0.1/8"])
+def test_proxies_that_are_no_addresses_are_refused(addresses: str) -> None:
+    for known in ("*", "", "127.0.0.1,10.0.0.0/8", "::1"):
+        settings("study", f"trusted_proxies='{known}'")
+    with pytest.raises(CophyError, match=f"trusted_proxies={addresses}: "):
+        settings("study", f"trusted_proxies='{addresses}'")
+
+
+def test_a_module_of_a_command_is_no_program() -> None:
+    with pytest.raises(SystemExit, match=r"train\.py is no program: run src/train\.py, or cophy-train"):
+        runpy.run_module("cophy.commands.train", run_name="__main__")
 
 
 @pytest.mark.parametrize(

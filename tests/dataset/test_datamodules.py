@@ -2,11 +2,13 @@
 
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
+import lightning as L
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import TensorDataset
+from torch.utils.data import DataLoader, TensorDataset
 
 from cophy.config import settings
 from cophy.dataset import generation
@@ -15,7 +17,6 @@ from cophy.dataset.datamodules import (
     CounterfactualDataModule,
     CounterfactualDataset,
     DeviceShare,
-    EpochBatches,
     ordered_batches,
     shuffled_batches,
 )
@@ -24,7 +25,7 @@ from cophy.dataset.features import to_batch
 from cophy.dataset.splits import SPLITS, Part, Split
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.types import CONFOUNDERS, map_tensors
+from cophy.types import CONFOUNDERS, Batch, map_tensors
 from tests.conftest import tiny_spec
 from tests.dataset.copies import SPEC, MeanColor
 
@@ -33,9 +34,9 @@ SPLIT = settings("train", "scenario=collision").split
 OPTIONAL = ("confounders", "object_type", "pose")
 
 
-def epoch_of(batches: EpochBatches, epoch: int) -> list[list[int]]:
-    batches.set_epoch(epoch)
-    return list(batches)
+def epoch_of(batches: dict[str, Any], epoch: int) -> list[list[int]]:
+    batches["sampler"].set_epoch(epoch)
+    return [batch.tolist() for (batch,) in DataLoader(ITEMS, **batches)]
 
 
 def test_an_epoch_has_an_order_of_its_own_that_comes_again() -> None:
@@ -79,6 +80,28 @@ def test_a_loader_visits_every_experiment_once(tiny) -> None:
     assert [len(batch) for batch in batches] == [16, 16, 16]
     sums = torch.cat([batch.targets.position for batch in batches]).flatten(1).sum(dim=1)
     torch.testing.assert_close(sums.sort().values, data.batch.targets.position.flatten(1).sum(dim=1).sort().values)
+
+
+class Recorder(L.LightningModule):
+    """Trains nothing, and keeps which items it sees."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.automatic_optimization, self.seen = False, []
+
+    def training_step(self, batch: Batch) -> None:
+        self.seen.append(batch.targets.pair.tolist())
+
+    def configure_optimizers(self) -> list[object]:
+        return []
+
+
+def test_overfit_batches_sees_the_same_items_in_every_epoch(tower_batch: Batch) -> None:
+    module, quiet = Recorder(), dict.fromkeys(("logger", "enable_progress_bar", "enable_model_summary"), False)
+    trainer = L.Trainer(overfit_batches=1, max_epochs=2, enable_checkpointing=False, accelerator="cpu", **quiet)
+    with pytest.warns(UserWarning, match="turning off the train dataloader shuffling"):
+        trainer.fit(module, CounterfactualDataset(tower_batch).shuffled(8))
+    assert module.seen == [tower_batch.targets.pair[:8].tolist()] * 2
 
 
 def fed(data_dir: Path, declared: tuple[str, ...] = (), num_experiments: int | None = None) -> CounterfactualDataModule:

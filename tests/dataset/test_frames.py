@@ -77,3 +77,9 @@ def test_only_the_frames_of_a_derenderer_are_rendered(rendered: Images, tmp_path
 def test_all_frames_are_rendered_if_half_of_them_are_chosen(rendered: Images, tmp_path: Path) -> None:
     data = frames_of(copy_images(rendered, tmp_path).states, 20_000)
     assert data.train.sources[0][0].directory == images(tmp_path).directory
+
+
+def test_a_split_without_frames_is_refused_before_training(rendered: Images, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FrameDataset, "sample", lambda frames, count, seed: frames._with(frames.index[: count - 10]))
+    with pytest.raises(CophyError, match=r"there are no \w+ frames: use a larger size="):
+        frames_of(rendered.states, 100)

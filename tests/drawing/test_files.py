@@ -91,6 +91,14 @@ def test_the_name_of_a_video_is_not_read_as_a_pattern(tmp_path: Path) -> None:
         read_frames(tmp_path / "f%d.bmp")
 
 
+def test_a_video_of_another_rate_is_refused(tmp_path: Path) -> None:
+    for rate in (5, 25):
+        clip(tmp_path / f"{rate}.mp4", 3, rate, 32)
+    assert read_frames(tmp_path / "5.mp4", frame_rate_hz=5).shape == (3, 32, 32, 3)
+    with pytest.raises(CophyError, match=r"25\.mp4 has 25 frames per second, not 5: choose its frames at that rate"):
+        read_frames(tmp_path / "25.mp4", frame_rate_hz=5)
+
+
 def test_too_many_pixels_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clip(tmp_path / "AB.mp4", 5, 5, 512)
     monkeypatch.setattr(files, "MAX_PIXEL_BYTES", 3 << 20)

@@ -1,9 +1,11 @@
 """What TensorBoard shows: results first, and clips of twins if there are any."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -21,18 +23,42 @@ class Writer:
     def add_figure(self, *_: object) -> None: ...
 
 
+def clips_of(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+    """Return a list that gets the frames of every clip."""
+    clips: list[np.ndarray] = []
+    monkeypatch.setattr(tensorboard, "add_clip", lambda writer, name, frames, **_: clips.append(frames))
+    return clips
+
+
+def predictions_of(scenario: Scenario, pairs: list[int]) -> tuple[DrawnPredictions, Prediction]:
+    batch = random_batch(scenario.num_slots, [4] * 4, num_frames=30)
+    shown = replace(batch, targets=replace(batch.targets, pair=torch.tensor(pairs)))
+    prediction = Prediction(shown.targets.position, torch.zeros_like(shown.targets.position[..., 0]))
+    return DrawnPredictions(shown, scenario, "val"), prediction
+
+
 @pytest.mark.parametrize(("pairs", "num_rows"), [([0, 0, 1, 1], 2), ([0, 1, 2, 3], 1)], ids=["twins", "released"])
 def test_the_clip_is_of_twins_or_of_one_experiment(
     pairs: list[int], num_rows: int, scenario_of: Callable[[str], Scenario], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scenario, clips = scenario_of("balls"), []
-    monkeypatch.setattr(tensorboard, "add_clip", lambda writer, name, frames, **_: clips.append(frames))
-    batch = random_batch(scenario.num_slots, [4] * 4, num_frames=30)
-    shown = replace(batch, targets=replace(batch.targets, pair=torch.tensor(pairs)))
-    prediction = Prediction(shown.targets.position, torch.zeros_like(shown.targets.position[..., 0]))
-    DrawnPredictions(shown, scenario, "val").add(Writer(), prediction, 0)
+    clips = clips_of(monkeypatch)
+    drawn, prediction = predictions_of(scenario_of("balls"), pairs)
+    drawn.add(Writer(), prediction, 0)
     (frames,) = clips
     assert round(frames.shape[1] / 224) == num_rows
+
+
+def test_without_pybullet_one_line_says_that_there_is_no_clip(
+    scenario_of: Callable[[str], Scenario], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    clips = clips_of(monkeypatch)
+    monkeypatch.setitem(sys.modules, "pybullet", None)  # as on Python 3.12, which has no wheels of it
+    drawn, prediction = predictions_of(scenario_of("balls"), [0, 0, 1, 1])
+    for step in range(3):
+        drawn.add(Writer(), prediction, step)
+    (message,) = caplog.messages
+    assert message.startswith("TensorBoard gets no clip: simulation and rendering need PyBullet")
+    assert not clips
 
 
 def read_curves(directory: Path) -> EventAccumulator:

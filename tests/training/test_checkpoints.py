@@ -4,10 +4,12 @@ import errno
 import os
 import re
 import zipfile
+from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import lightning
 import numpy as np
 import pytest
 import torch
@@ -16,6 +18,7 @@ from torch import Tensor, nn
 from cophy.errors import CophyError
 from cophy.training.checkpoints import (
     MAX_VALUES,
+    RESTORED,
     Checkpoint,
     WholeCheckpoints,
     build_network,
@@ -80,7 +83,7 @@ def test_only_checkpoints_of_the_run_are_removed(tmp_path: Path) -> None:
 
 def test_a_flipped_byte_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
     path, rng = tmp_path / "best.ckpt", np.random.default_rng(0)
-    checkpoint = {"weights": torch.arange(300.0), "epoch": 3}
+    checkpoint = {"state_dict": torch.arange(300.0), "loops": 3}
     WholeCheckpoints({}, tmp_path).save_checkpoint(checkpoint, path)
     content, noticed = path.read_bytes(), 0
     start = content.index(torch.arange(300.0).numpy().tobytes())
@@ -92,8 +95,8 @@ def test_a_flipped_byte_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
             noticed += 1
         else:
             assert place != start + 5
-            assert loaded.keys() == checkpoint.keys() | {"origin", "callbacks"}
-            assert torch.equal(loaded["weights"], checkpoint["weights"])
+            assert loaded.keys() == checkpoint.keys() | {"callbacks", "pytorch-lightning_version"}
+            assert torch.equal(loaded["state_dict"], checkpoint["state_dict"])
     assert noticed > 50
 
 
@@ -269,6 +272,17 @@ def test_a_restored_network_is_the_one_that_was_saved(choice: str) -> None:
         assert torch.equal(saved_tensor, tensor)
 
 
+def test_a_restored_network_has_single_precision_whatever_the_callers_default_is() -> None:
+    model = model_of("model=in")
+    weights = build_network(model).state_dict()
+    torch.set_default_dtype(torch.float64)
+    try:
+        tensors = tensors_of(restored(model, weights))
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert {tensor.dtype for tensor in tensors if tensor.is_floating_point()} == {torch.float32}
+
+
 def wide(hidden_dim: int) -> dict[str, Any]:
     return model_of("model=in") | {"hidden_dim": hidden_dim}
 
@@ -284,12 +298,32 @@ def test_weights_are_compared_before_memory_is_allocated(
     assert set(devices) <= {"meta"}
 
 
-def test_weights_that_repeat_a_number_are_not_allocated() -> None:
-    with torch.device("meta"):
-        shapes = {key: value.shape for key, value in build_network(wide(2**14)).state_dict().items()}
-    for number in (torch.zeros(1), torch.zeros(1, device="meta")):
-        with pytest.raises(CophyError, match="its weights repeat a few numbers"):
-            restored(wide(2**14), {key: number.expand(shape) for key, shape in shapes.items()})
+@pytest.mark.parametrize("place", ["state_dict", "optimizer_states", "callbacks"])
+@pytest.mark.parametrize("device", ["cpu", "meta"])
+def test_tensors_that_repeat_a_number_are_refused(tmp_path: Path, place: str, device: str) -> None:
+    path = tmp_path / "last.ckpt"
+    torch.save({place: {"a": [(torch.zeros(1, device=device).expand(2**40),)]}}, path)
+    with pytest.raises(CophyError, match=r"last\.ckpt .*its tensors repeat a few numbers"):
+        WholeCheckpoints({}, tmp_path).load_checkpoint(path)
+
+
+@pytest.mark.parametrize("value", [OrderedDict, torch._utils._rebuild_tensor_v2])
+def test_a_function_or_class_is_no_data(tmp_path: Path, value: object) -> None:
+    """PyTorch loads a few of them; a schedule restored from a dict would call what the dict names `get_lr`."""
+    path = tmp_path / "last.ckpt"
+    torch.save({"lr_schedulers": [{"get_lr": value}]}, path)
+    with pytest.raises(CophyError, match=r"last\.ckpt .* is not a type of data"):
+        WholeCheckpoints({}, tmp_path).load_checkpoint(path)
+
+
+def test_only_what_a_training_continues_from_is_restored(tmp_path: Path) -> None:
+    path, anything = tmp_path / "last.ckpt", {"dirpath": "http://127.0.0.1/best.ckpt"}
+    kept = {**{key: {"a": 1} for key in RESTORED}, "callbacks": {"Stopwatch": {"seconds": 3.0}}}
+    more = {"callbacks": {**kept["callbacks"], "ModelCheckpoint{}": anything, "Unknown": anything}}
+    names = ("CounterfactualDataModule", "hyper_parameters", "hparams_name", "pytorch-lightning_version", "epoch")
+    torch.save({**kept, **dict.fromkeys(names, anything), **more}, path)
+    loaded = WholeCheckpoints({}, tmp_path, {"Stopwatch", "GradientNorm"}).load_checkpoint(path)
+    assert loaded == {**kept, "pytorch-lightning_version": lightning.__version__}
 
 
 def test_classes_of_other_packages_are_not_restored() -> None:

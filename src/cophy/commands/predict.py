@@ -22,8 +22,10 @@ def main(cfg: DictConfig) -> None:
     derenderer = TrainedDerenderer(Path(settings.derenderer))
     predictor = TrainedPredictor(Path(settings.predictor), SCENARIOS)
     check_pair(derenderer, predictor)
-    observed, initial = read_frames(Path(settings.observed)), read_frames(Path(settings.initial))[0]
-    truth = None if settings.truth is None else read_frames(Path(settings.truth))
+    rate = predictor.scenario.clock.frame_rate_hz
+    observed = read_frames(Path(settings.observed), frame_rate_hz=rate)
+    initial = read_frames(Path(settings.initial))[0]
+    truth = None if settings.truth is None else read_frames(Path(settings.truth), frame_rate_hz=rate)
     background = None if settings.background is None else read_frames(Path(settings.background))[0]
     directory, scenario = Path(settings.directory), predictor.scenario
     prediction = predict(observed, initial, derenderer, predictor)

@@ -86,7 +86,15 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
 
     from cophy.training.checkpoints import build_network, make_origin
     from cophy.training.reuse import fingerprint, hash_code, record_finished
-    from cophy.training.trainer import finishing, fit, log_results, make_trainer, prepare_loggers, start_processes
+    from cophy.training.trainer import (
+        finishing,
+        fit,
+        log_results,
+        make_trainer,
+        prepare_loggers,
+        restoring,
+        start_processes,
+    )
 
     start_time = time.monotonic()
     if not is_rank_zero():  # the first process writes the log
@@ -129,9 +137,11 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
         else:
             facts, tested = start.finished, start.checkpoint
             # also draws the validation figures of a training that is not repeated
-            validation = trainer.validate(module, data, ckpt_path=tested, weights_only=True, verbose=False)
+            with restoring(trainer, tested):
+                validation = trainer.validate(module, data, ckpt_path=tested, weights_only=True, verbose=False)
             facts["validation"] = facts["validation"] or dict(validation[0])
-        trainer.test(module, data, ckpt_path=tested, weights_only=True, verbose=False)
+        with restoring(trainer, tested):
+            trainer.test(module, data, ckpt_path=tested, weights_only=True, verbose=False)
 
         if config.trainer.fast_dev_run:
             return {}

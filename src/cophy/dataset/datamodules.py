@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.utils.data import BatchSampler, DataLoader, Dataset, DistributedSampler
+from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from cophy.dataset import generation
 from cophy.dataset.estimates import DerendererProtocol, Estimates
@@ -43,17 +43,11 @@ class DeviceShare(NamedTuple):
 ONE_DEVICE = DeviceShare()
 
 
-class EpochBatches(BatchSampler):
-    """Batches in a different order in every epoch; Lightning sets the epoch."""
+def shuffled_batches(dataset: Dataset, batch_size: int, *, seed: int, share: DeviceShare) -> dict[str, Any]:
+    """Return arguments of a DataLoader whose batches have each item once per epoch, in a different order in every epoch.
 
-    def set_epoch(self, epoch: int) -> None:
-        """Set the epoch, before its first batch."""
-        assert isinstance(self.sampler, DistributedSampler)
-        self.sampler.set_epoch(epoch)
-
-
-def shuffled_batches(dataset: Dataset, batch_size: int, *, seed: int, share: DeviceShare) -> EpochBatches:
-    """Return batches with each item once per epoch. With several devices, some items are repeated so that all get equally many.
+    With several devices, some items are repeated so that all get equally many. Lightning sets the epoch of the sampler, and
+    replaces it for trainer.overfit_batches.
 
     Args:
         dataset: Dataset of the items.
@@ -69,7 +63,7 @@ def shuffled_batches(dataset: Dataset, batch_size: int, *, seed: int, share: Dev
     order: DistributedSampler[int] = DistributedSampler(
         dataset, num_replicas=share.devices, rank=share.rank, shuffle=True, seed=seed
     )
-    return EpochBatches(order, batch_size // share.devices, drop_last=False)
+    return {"sampler": order, "batch_size": batch_size // share.devices}
 
 
 def ordered_batches(groups: np.ndarray, batch_size: int, share: DeviceShare) -> list[list[int]]:
@@ -95,7 +89,7 @@ def ordered_batches(groups: np.ndarray, batch_size: int, share: DeviceShare) -> 
 
 
 class CounterfactualDataset(Dataset[Batch]):
-    """Experiments in memory: indexing with a list of experiments returns a `Batch`, so no worker processes are needed."""
+    """Experiments in memory: a batch is fetched at once, so no worker processes are needed."""
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
@@ -103,19 +97,21 @@ class CounterfactualDataset(Dataset[Batch]):
     def __len__(self) -> int:
         return len(self.batch)
 
-    def __getitem__(self, indices: list[int]) -> Batch:
+    def __getitems__(self, indices: list[int]) -> Batch:
         return take(self.batch, indices)
 
     def shuffled(self, batch_size: int, *, seed: int = 0, share: DeviceShare = ONE_DEVICE) -> DataLoader[Batch]:
         """Return batches for training, see `shuffled_batches`."""
-        return DataLoader(self, sampler=shuffled_batches(self, batch_size, seed=seed, share=share), batch_size=None)
+        return self._loader(**shuffled_batches(self, batch_size, seed=seed, share=share))
 
     def in_order(self, batch_size: int, *, share: DeviceShare = ONE_DEVICE) -> DataLoader[Batch]:
         """Return all experiments in order, with neighbours that are twins in one batch, see `ordered_batches`."""
         pair = self.batch.targets.pair.numpy()
         groups = np.where(pair < 0, -1 - np.arange(len(pair)), pair)  # in the test split it is unknown which are twins
-        batches = ordered_batches(groups, batch_size, share)
-        return DataLoader(self, sampler=batches, batch_size=None)
+        return self._loader(batch_sampler=ordered_batches(groups, batch_size, share))
+
+    def _loader(self, **batches: Any) -> DataLoader[Batch]:
+        return DataLoader(self, collate_fn=lambda batch: batch, **batches)
 
 
 class CounterfactualDataModule(L.LightningDataModule):

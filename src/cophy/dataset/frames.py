@@ -200,6 +200,8 @@ class FrameDataModule(L.LightningDataModule):
             FrameDataset(sources, split=split, resolution=self.resolution).sample(count, self.data_seed)
             for split, count in zip(SPLITS, counts, strict=True)
         ]
+        if empty := [split for split, frames in zip(SPLITS, splits, strict=True) if not len(frames)]:
+            raise CophyError(f"{', '.join(self.dataset_ids)}: there are no {empty[0]} frames: {self.sets[0].remedy}")
         index = np.concatenate(
             [*(frames.index for frames in splits), splits[1].sequence_index(0)]
         )  # TensorBoard shows a sequence
@@ -222,8 +224,7 @@ class FrameDataModule(L.LightningDataModule):
 
     def train_dataloader(self) -> DataLoader[FrameBatch]:
         batches = shuffled_batches(self.train, self.batch_size, seed=self.seed, share=DeviceShare.of(self.trainer))
-        # the sampler itself, so that Lightning sets its epoch
-        return self._loader(self.train, sampler=batches.sampler, batch_size=batches.batch_size)
+        return self._loader(self.train, **batches)
 
     def val_dataloader(self) -> DataLoader[FrameBatch]:
         return self._in_order(self.val)

@@ -13,6 +13,8 @@ from cophy.scenario import Scenario
 
 FORMAT_VERSION = 4  # increase it when the arrays of a shard or the experiments of all scenarios change
 
+MAX_EXPERIMENTS = 10_000_000  # ours: a hundred times the paper's, months of generation
+
 
 @dataclass
 class Size:
@@ -27,6 +29,8 @@ class Size:
         counts = [count for per_scenario in self.num_experiments.values() for count in per_scenario.values()]
         if any(count < 2 or count % 2 for count in [self.experiments_per_shard, *counts]):
             raise ValueError(f"size {self.name}: twins come in pairs, so all counts are even and at least 2")
+        if max(counts, default=0) > MAX_EXPERIMENTS:
+            raise ValueError(f"size {self.name}: {max(counts)} experiments are more than {MAX_EXPERIMENTS:,}")
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from cophy.untrusted_files import BrokenFileError, open_clip, read_bytes
 SUFFIXES, IMAGE_FORMATS = (".png", ".jpg", ".jpeg"), ("PNG", "JPEG")
 MAX_FRAMES = 1000
 MAX_EDGE = 4096  # pixels, the limit of render.resolution
+MAX_RATE_ERROR = 0.01  # relative; ours: containers round
 MAX_PIXEL_BYTES = 2 << 30  # ours: all frames together, many times what any sequence has
 
 
@@ -27,16 +28,20 @@ def write_image(path: Path, image: np.ndarray) -> None:
     write_atomically(path, cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())
 
 
-def read_frames(path: Path) -> np.ndarray:
+def read_frames(path: Path, *, frame_rate_hz: float | None = None) -> np.ndarray:
     """Read RGB frames, (T, H, W, 3), of a video, of one image, or of a folder of images: 2.png comes before 10.png.
 
     At most MAX_FRAMES + 1 are read: the caller knows how many there must be.
 
+    Args:
+        path: the video, image or folder.
+        frame_rate_hz: the rate that a video must have, if it states one.
+
     Raises:
-        CophyError: a file is no image or video, incomplete, or too large, or the sizes differ.
+        CophyError: a file is no image or video, incomplete, or too large, the sizes differ, or the rate is another.
     """
     frames: list[np.ndarray] = []
-    for frame in islice(_read_each(path), MAX_FRAMES + 1):
+    for frame in islice(_read_each(path, frame_rate_hz), MAX_FRAMES + 1):
         frames.append(frame)
         if len(frames) * frame.nbytes > MAX_PIXEL_BYTES:
             raise CophyError(
@@ -49,14 +54,14 @@ def read_frames(path: Path) -> np.ndarray:
     return np.stack(frames)
 
 
-def _read_each(path: Path) -> Iterator[np.ndarray]:
+def _read_each(path: Path, frame_rate_hz: float | None) -> Iterator[np.ndarray]:
     if path.is_dir():
         for file in sorted((file for file in path.iterdir() if file.suffix.lower() in SUFFIXES), key=_numeric_key):
             yield _read_image(file)
     elif path.suffix.lower() in SUFFIXES:
         yield _read_image(path)
     else:
-        yield from _read_video(path)
+        yield from _read_video(path, frame_rate_hz)
 
 
 def _numeric_key(path: Path) -> list[tuple[int, str]]:
@@ -79,7 +84,7 @@ def _read_image(path: Path) -> np.ndarray:
         raise CophyError(f"{path} is not a complete image: give .png or .jpg files ({reason})") from error
 
 
-def _read_video(path: Path) -> Iterator[np.ndarray]:
+def _read_video(path: Path, frame_rate_hz: float | None) -> Iterator[np.ndarray]:
     try:
         video = open_clip(path.resolve())
     except (BrokenFileError, OSError, RuntimeError) as error:  # RuntimeError: a link to itself
@@ -87,6 +92,11 @@ def _read_video(path: Path) -> Iterator[np.ndarray]:
         raise CophyError(f"{path} is not a readable video: {remedy} ({error})") from error
     try:
         _check_size(path, *(int(video.get(edge)) for edge in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)))
+        rate = video.get(cv2.CAP_PROP_FPS)
+        if frame_rate_hz and rate > 0 and abs(rate - frame_rate_hz) > MAX_RATE_ERROR * frame_rate_hz:
+            raise CophyError(
+                f"{path} has {rate:g} frames per second, not {frame_rate_hz:g}: choose its frames at that rate"
+            )
         while (frame := video.read()[1]) is not None:
             yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
     finally:

@@ -1,5 +1,6 @@
 """What TensorBoard shows: curves with results first, figures and clips of predictions and of de-rendered frames."""
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,12 @@ from cophy.dataset.frames import FrameDataModule
 from cophy.drawing.files import encode_gif, mark
 from cophy.drawing.plots import draw_centres, draw_confusion, draw_error_over_time, draw_trajectories, error_over_time
 from cophy.drawing.sheets import REACH, Line, at, grid, text_block
+from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import Renderer
 from cophy.types import Batch, Prediction, move_to, take
+
+log = logging.getLogger(__name__)
 
 # TensorBoard sorts cards by name: with these names the first ones are results
 CARD_NAMES = {"val/mse": "mse/val", "test/mse": "mse/test"}
@@ -190,9 +194,13 @@ class DrawnPredictions:
     def __init__(self, batch: Batch, scenario: Scenario, split: str) -> None:
         self.batch, self.scenario, self.split = batch, scenario, split
         self.clip: PredictionClip | None = None
+        self.renders = True
 
     def add(self, writer: SummaryWriter, prediction: Prediction, step: int) -> None:
-        """Draw trajectories, the error over time, and a clip of one twin pair, or of one experiment."""
+        """Draw trajectories, the error over time, and a clip of one twin pair, or of one experiment.
+
+        Without PyBullet there is no clip; one line of the log says so.
+        """
         prediction, targets = move_to(prediction, torch.device("cpu"), torch.float32), self.batch.targets
         initial, predicted, true, presence = (
             tensor.numpy() for tensor in (targets.initial, prediction.position, targets.position, targets.presence)
@@ -208,10 +216,16 @@ class DrawnPredictions:
         for name, figure in figures.items():
             writer.add_figure(f"{self.split}/{name}", figure, step)
         pair = self._pair()
-        if self.clip is None:
+        if self.clip is None and self.renders:
             sequences = self.batch.inputs.observed.numpy(), _join(initial, true)
             masks = self.batch.inputs.observed_presence.numpy(), presence
-            self.clip = PredictionClip(*(each[pair] for each in (*sequences, *masks)), scenario=self.scenario)
+            try:
+                self.clip = PredictionClip(*(each[pair] for each in (*sequences, *masks)), scenario=self.scenario)
+            except CophyError as error:
+                self.renders = False
+                log.warning("TensorBoard gets no clip: %s", error)
+        if self.clip is None:
+            return
         frames, frames_per_second = self.clip.render(_join(initial, predicted)[pair])
         add_clip(writer, f"{self.split}/clip", frames, frames_per_second=frames_per_second, step=step)
 

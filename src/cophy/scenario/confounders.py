@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+MAX_MASS = 1e6  # kg; ours: Bullet's solver fails long before 1e30
+
 
 @dataclass(frozen=True)
 class Confounders:
@@ -41,11 +43,13 @@ class ConfounderGrid:
         if not all(self._axes(1)):
             raise ValueError("confounders: every confounder needs at least one value")
         if (
-            min(self.mass) <= 0
-            or min(self.friction) < 0
+            not 0 < min(self.mass) <= max(self.mass) <= MAX_MASS
+            or not min(self.friction) >= 0
             or not 0 <= min(self.restitution) <= max(self.restitution) <= 1
         ):
-            raise ValueError("confounders: mass must be > 0, friction >= 0 and restitution in [0, 1]")
+            raise ValueError(
+                f"confounders: mass must be > 0 and at most {MAX_MASS:g} kg, friction >= 0 and restitution in [0, 1]"
+            )
 
     def _axes(self, num_objects: int) -> list[list[float]]:
         per_object = [values for values in (self.mass, self.friction, self.restitution) for _ in range(num_objects)]

@@ -34,6 +34,9 @@ class Solver:
                 raise ValueError(f"scenario.solver.{key}={getattr(self, key)} must be from 1 to {_MAX_STEPS}")
 
 
+MAX_STATES = 10_000  # ours: eight minutes, and what fits into memory for some thousand experiments
+
+
 @dataclass
 class Clock:
     """Length and sampling rates of a sequence (paper Sec. 3: 6 s, states at 20 fps, video at 5 fps)."""
@@ -47,6 +50,8 @@ class Clock:
             raise ValueError(
                 f"clock: state_rate_hz must be a multiple of frame_rate_hz, and num_frames at least 2: {self}"
             )
+        if self.num_states > MAX_STATES:
+            raise ValueError(f"clock: {self.num_states:,} states in a sequence are more than {MAX_STATES:,}: {self}")
 
     @property
     def states_per_frame(self) -> int:

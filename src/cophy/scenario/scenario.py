@@ -16,6 +16,7 @@ from cophy.scenario.physics import Body, Clock, Scene, Shape, Solver, Trajectory
 from cophy.scenario.simulator import Simulator
 from cophy.scenario.statics import TowerStatics
 
+MAX_GRAVITY = 1000.0  # m/s²; ours: a hundred times that of the Earth
 HEX_COLOR = re.compile("#[0-9a-fA-F]{6}")
 
 
@@ -34,6 +35,10 @@ class Task:
     stable_speed: float
     by_height: bool
     splits: list[str]
+
+    def __post_init__(self) -> None:
+        if self.metric_dims not in (1, 2, 3):
+            raise ValueError(f"scenario.task.metric_dims={self.metric_dims} must be 1, 2 or 3")
 
 
 @dataclass
@@ -58,6 +63,13 @@ class Scenario(ABC):
             raise ValueError(
                 f"scenario.min_difference={self.min_difference:g} m must be at most {self.farthest_m:.3g} m: "
                 "nothing moves farther in this scenario"
+            )
+        if not -MAX_GRAVITY <= self.gravity_z < 0:
+            raise ValueError(f"scenario.gravity_z={self.gravity_z:g} must be negative, at least {-MAX_GRAVITY:g} m/s²")
+        if self.solver.step_rate_hz % self.clock.state_rate_hz:
+            raise ValueError(
+                f"scenario.solver.step_rate_hz={self.solver.step_rate_hz} must be a multiple of "
+                f"scenario.clock.state_rate_hz={self.clock.state_rate_hz}"
             )
         for key in self.ranges():
             values = list(getattr(self, key))

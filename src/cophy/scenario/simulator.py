@@ -196,8 +196,8 @@ def import_pybullet() -> Any:
             import pybullet
     except ImportError as error:
         raise CophyError(
-            "generating data needs PyBullet, which has wheels up to Python 3.11 on Linux x86_64 only: "
-            "generate there (just setup), then copy data/ here; training and reports need no PyBullet"
+            "simulation and rendering need PyBullet, which has wheels up to Python 3.11 on Linux x86_64 only: "
+            "generate data there (just setup), then copy data/ here; training and reports need no PyBullet"
         ) from error
     return pybullet
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import torch
 from lightning.pytorch.callbacks import ModelCheckpoint, ModelSummary
 from lightning.pytorch.utilities.exceptions import SIGTERMException
-from torch import Tensor
 from torch.nn.utils import get_total_norm
 from torch.optim import Optimizer
 
@@ -21,35 +21,15 @@ log = logging.getLogger(__name__)
 LOG_EVERY_S = 30.0  # ours: the log of a training of minutes or hours stays readable
 
 
-class BestCheckpoint(ModelCheckpoint):
-    """Keeps the best checkpoint across resumption, even if the run directory moved.
-
-    Of its state in a checkpoint only the score is restored: the path is always that of this run's best.ckpt.
-    """
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        best, score = Path(self.dirpath or "") / "best.ckpt", state_dict.get("best_model_score")
-        if best.is_file() and isinstance(score, Tensor) and score.numel() == 1:
-            self.best_model_path = self.kth_best_model_path = str(best)
-            self.best_model_score = self.kth_value = score
-            self.best_k_models = {str(best): score}
-
-
-class LastCheckpoint(ModelCheckpoint):
-    """Keeps the last checkpoint of a run. Nothing is restored: the paths in a checkpoint may be anybody's."""
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        pass
-
-
 class BestValidation(L.Callback):
-    """Keeps the validation metrics of the epoch with the best val/mse, across resumption.
+    """Keeps the validation metrics of the epoch with the best val/mse, across resumption, even if the run directory moved.
 
     Args:
-        checkpoint: The checkpoint of that epoch; without it the metrics are not restored.
+        checkpoint: Saves the weights of that epoch as best.ckpt. Its own state, which names paths, is never restored: it
+            continues from these metrics if this run has that file.
     """
 
-    def __init__(self, checkpoint: Path) -> None:
+    def __init__(self, checkpoint: ModelCheckpoint) -> None:
         self.checkpoint = checkpoint
         self.metrics: dict[str, float] = {}
 
@@ -62,7 +42,14 @@ class BestValidation(L.Callback):
         return self.metrics
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self.metrics = dict(state_dict) if self.checkpoint.exists() else {}
+        saver = self.checkpoint
+        path = Path(saver.dirpath or "", "best.ckpt")
+        if path.is_file():
+            self.metrics = {name: float(value) for name, value in state_dict.items()}
+            score = torch.tensor(self.metrics["val/mse"], dtype=torch.float64)
+            saver.best_model_path = saver.kth_best_model_path = str(path)
+            saver.best_model_score = saver.kth_value = score
+            saver.best_k_models = {str(path): score}
 
 
 class GradientNorm(L.Callback):
@@ -155,4 +142,4 @@ class Stopwatch(L.Callback):
         return {"seconds": self.seconds}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self._before = state_dict["seconds"]
+        self._before = float(state_dict["seconds"])

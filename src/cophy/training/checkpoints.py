@@ -10,12 +10,13 @@ import io
 import pickle
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
 from typing import Any
 
+import lightning as L
 import torch
 from lightning.fabric.plugins.io.checkpoint_io import CheckpointIO
 from torch import Tensor, nn
@@ -38,6 +39,8 @@ KEYS: dict[str, tuple[type, ...]] = {  # of an origin, with their types
 }
 # that earlier versions did not store
 LATER_KEYS: dict[str, Any] = {"seed": None, "trainer": {}, "source": {"name": "generated"}, "format": 3}
+# what Lightning restores from a checkpoint, beside the states of callbacks that name no paths; all else is dropped
+RESTORED = ("state_dict", "loops", "optimizer_states", "lr_schedulers", "MixedPrecision")
 MAX_CHECKPOINT_BYTES = 4 << 30  # ours: a predictor has a megabyte, the paper's de-renderer some hundred
 MAX_VALUES, MAX_DEPTH = 100_000, 10  # ours: an origin has some 200 values, 4 levels deep
 MAX_SIZE = 1 << 14  # ours: layers as wide as this do not fit into a checkpoint of 4 GiB, and nothing is so deep
@@ -51,6 +54,7 @@ LOADING_ERRORS = (
     *(ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError),
     *(pickle.UnpicklingError, EOFError, MemoryError),
 )
+DATA = (NoneType, bool, int, float, complex, str, bytes, torch.dtype, torch.device)  # beside tensors and containers
 # without effect on weights, or allowed to change when a training continues
 NO_EFFECT = {"scenario.task.splits"}
 MAY_CHANGE = {
@@ -82,10 +86,11 @@ class WholeCheckpoints(CheckpointIO):
     Args:
         origin: Stored in every checkpoint.
         directory: The run's checkpoints, the only files that may be removed.
+        callbacks: Keys of the callbacks whose states are restored. Not those of ModelCheckpoint: they name paths.
     """
 
-    def __init__(self, origin: dict[str, Any], directory: Path) -> None:
-        self.origin, self.directory = origin, directory
+    def __init__(self, origin: dict[str, Any], directory: Path, callbacks: Set[str] = frozenset()) -> None:
+        self.origin, self.directory, self.callbacks = origin, directory, callbacks
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         content = io.BytesIO()
@@ -94,14 +99,15 @@ class WholeCheckpoints(CheckpointIO):
         write_atomically(Path(path), content.getvalue())
 
     def load_checkpoint(self, path: Any, map_location: Any = None, weights_only: bool | None = None) -> dict[str, Any]:
-        """Return the checkpoint without the state of ModelCheckpoint callbacks, whose paths may be anybody's."""
-        checkpoint = _load(read_file(Path(path)), Path(path), map_location)
-        callbacks = checkpoint.get("callbacks", {})
-        if not isinstance(callbacks, dict):
+        """Return what is restored from a checkpoint, and nothing else."""
+        saved = _load(read_file(Path(path)), Path(path), map_location)
+        states = saved.get("callbacks", {})
+        if not isinstance(states, dict):
             raise CophyError(f"{path} is not a checkpoint of train.py")
         return {
-            **checkpoint,
-            "callbacks": {key: each for key, each in callbacks.items() if not str(key).startswith("ModelCheckpoint")},
+            **{key: saved[key] for key in RESTORED if key in saved},
+            "callbacks": {key: states[key] for key in self.callbacks & states.keys()},
+            "pytorch-lightning_version": L.__version__,  # nothing to migrate
         }
 
     def remove_checkpoint(self, path: Any) -> None:
@@ -162,11 +168,46 @@ def _load(content: bytes, source: Path, map_location: Any) -> dict[str, Any]:
         if damaged is not None:
             raise CophyError(f"{source} is damaged (checksum of {damaged}): use another copy, or train again")
         saved = torch.load(io.BytesIO(content), map_location=map_location, weights_only=True)
+        _check_data(saved)
     except (*LOADING_ERRORS, zipfile.BadZipFile, OSError, zlib.error) as error:
         raise CophyError(f"{source} is not a checkpoint of train.py, or is damaged ({_first_line(error)})") from error
     if not isinstance(saved, dict):
         raise CophyError(f"{source} is not a checkpoint of train.py")
     return saved
+
+
+def _check_data(tree: Any) -> None:
+    """Check that a loaded file holds data, no functions or classes, and tensors that are stored in full.
+
+    Raises:
+        ValueError: It does not.
+    """
+    values, seen, tensors = [tree], set(), []
+    while values:
+        value = values.pop()
+        if id(value) in seen:
+            continue
+        seen.add(id(value))
+        if isinstance(value, Tensor):
+            tensors.append(value)
+        elif isinstance(value, dict):
+            values += [*value, *value.values()]
+        elif isinstance(value, list | tuple | set):
+            values += value
+        elif not isinstance(value, DATA):
+            raise ValueError(f"{type(value).__name__} is not a type of data")
+    if sum(map(_num_bytes, tensors)) > 2 * _num_stored_bytes(tensors):  # a few may be shared
+        raise ValueError("its tensors repeat a few numbers")
+
+
+def _num_bytes(tensor: Tensor) -> int:
+    return tensor.numel() * tensor.element_size()
+
+
+def _num_stored_bytes(tensors: list[Tensor]) -> int:
+    """Count bytes in memory: one number for an expanded tensor, nothing for one on `meta`."""
+    storages = [tensor.untyped_storage() for tensor in tensors if not tensor.is_meta]
+    return sum({storage.data_ptr(): storage.nbytes() for storage in storages}.values())
 
 
 def _check_origin(origin: Any, source: Path) -> dict[str, Any]:
@@ -304,9 +345,7 @@ def restore_network(checkpoint: Checkpoint, source: Path) -> nn.Module:
             expected = build_network(model)
         if name := _differing_weight(weights, expected.state_dict()):
             raise ValueError(f"{name} does not fit {model['_target_']} as it is now")
-        if sum(map(_num_bytes, weights.values())) > 2 * _num_stored_bytes(weights):  # a few may be shared
-            raise ValueError("its weights repeat a few numbers")
-        network = build_network(model)
+        network = build_network(model).float()  # whatever the caller's default is
         network.load_state_dict(weights)
     except (CophyError, AssertionError, RuntimeError, TypeError, ValueError) as error:  # constructors of cophy.models
         raise misfit(source, error) from error
@@ -318,16 +357,6 @@ def _differing_weight(weights: Mapping[str, Tensor], expected: Mapping[str, Tens
     shapes, expected_shapes = ({key: each.shape for key, each in tensors.items()} for tensors in (weights, expected))
     names = sorted(shapes.keys() | expected_shapes.keys())
     return next((name for name in names if shapes.get(name) != expected_shapes.get(name)), None)
-
-
-def _num_bytes(weight: Tensor) -> int:
-    return weight.numel() * weight.element_size()
-
-
-def _num_stored_bytes(weights: Mapping[str, Tensor]) -> int:
-    """Count bytes in memory: one number for an expanded tensor, nothing for one on `meta`."""
-    storages = [weight.untyped_storage() for weight in weights.values() if not weight.is_meta]
-    return sum({storage.data_ptr(): storage.nbytes() for storage in storages}.values())
 
 
 def check_resumable(ckpt: Path, origin: dict[str, Any], network: nn.Module) -> None:

@@ -25,7 +25,8 @@ def make_optimizer(module: L.LightningModule, training: Training) -> OptimizerLR
         optimizer = instantiate(training.optimizer)(module.parameters())
         schedule = instantiate(training.schedule)(optimizer, max(module.trainer.max_epochs or 1, 1))
     except (InstantiationException, TypeError, ValueError) as error:
-        raise CophyError(f"training.optimizer or training.schedule: {error.__cause__ or error}") from error
+        hint = "; their YAML has _partial_: true" if "missing" in str(error) else ""
+        raise CophyError(f"training.optimizer or training.schedule: {error.__cause__ or error}{hint}") from error
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "epoch"}}
 
 

@@ -29,7 +29,10 @@ PACKAGE = Path(cophy.__file__).parent
 CODE = ("scenario", "dataset", "models", "training")  # the subpackages that weights depend on
 FINISHED, BEGUN = "finished.json", "begun.json"
 STOPPED = "last_of_stopped.ckpt"
-NOTES = {FINISHED: {"fingerprint", "training_seconds", "validation", "resumed"}, BEGUN: {"fingerprint", "resumed"}}
+NOTES: dict[str, dict[str, Any]] = {  # the types of their values
+    FINISHED: {"fingerprint": str, "training_seconds": int | float, "validation": dict, "resumed": int},
+    BEGUN: {"fingerprint": str, "resumed": int},
+}
 PAIR = ("best.ckpt", "last.ckpt")
 
 
@@ -181,6 +184,8 @@ def _read(checkpoints: Path, name: str) -> dict[str, Any]:
         return {}
     except ValueError as error:
         raise CophyError(f"{path} is damaged ({error}): delete it to train again") from error
-    if not isinstance(content, dict) or not NOTES[name] <= content.keys():
+    if not isinstance(content, dict) or not all(
+        isinstance(content.get(key), each) for key, each in NOTES[name].items()
+    ):
         raise CophyError(f"{path} lacks {', '.join(sorted(NOTES[name]))}: delete it to train again")
     return content

@@ -1,8 +1,11 @@
 """The keys below `training` in conf/train.yaml. No torch here: `--help` imports this file."""
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
+
+MAX_LEARNING_RATE = 1e6  # ours: nothing is trained with this; PyTorch's optimisers fail beyond single precision
 
 
 class Augmentation(Enum):
@@ -38,9 +41,11 @@ class Training:
 
     def __post_init__(self) -> None:
         weights = {name: getattr(self, f"{name}_weight") for name in ("position", "stability", "confounder")}
-        if self.batch_size < 1 or self.learning_rate <= 0 or min(self.position_noise, *weights.values()) < 0:
+        not_negative = all(0 <= value < math.inf for value in (self.position_noise, *weights.values()))
+        if self.batch_size < 1 or not 0 < self.learning_rate <= MAX_LEARNING_RATE or not not_negative:
             raise ValueError(
-                "training: batch_size and learning_rate must be positive, noise and weights not negative: "
+                f"training: batch_size and learning_rate must be positive, the latter at most {MAX_LEARNING_RATE:g}, "
+                "noise and weights not negative: "
                 f"batch_size={self.batch_size}, learning_rate={self.learning_rate}, "
                 f"position_noise={self.position_noise}, weights {weights}"
             )

@@ -20,7 +20,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.accelerators import CPUAccelerator
-from lightning.pytorch.callbacks import LearningRateMonitor
+from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 from lightning.pytorch.plugins.environments import SLURMEnvironment
 from lightning.pytorch.strategies import DDPStrategy
@@ -32,16 +32,14 @@ from torch.nn.modules.batchnorm import _BatchNorm
 from cophy.drawing.tensorboard import Curves
 from cophy.errors import CophyError
 from cophy.training.callbacks import (
-    BestCheckpoint,
     BestValidation,
     GradientNorm,
-    LastCheckpoint,
     NetworkSize,
     ResumeHint,
     StopTogether,
     Stopwatch,
 )
-from cophy.training.checkpoints import WholeCheckpoints, flatten
+from cophy.training.checkpoints import LOADING_ERRORS, WholeCheckpoints, flatten, misfit
 from cophy.training.reuse import Start
 from cophy.training.run import Run, is_rank_zero
 
@@ -74,38 +72,44 @@ def make_trainer(
         arguments: Arguments of `lightning.Trainer` (conf/trainer).
 
     Raises:
-        CophyError: A logger or callback cannot be built, or Lightning refuses an argument.
+        CophyError: A logger or callback cannot be built, Lightning refuses an argument, or on SLURM it would continue from a
+            file that train.py did not write.
     """
     built_loggers = [
         _instantiate(f"logger={name}", keys, **_log_directory(run, keys)) for name, keys in loggers.items()
     ]
-    best = BestCheckpoint(
+    best = ModelCheckpoint(
         run.checkpoints, filename="best", monitor="val/mse", save_weights_only=True, enable_version_counter=False
     )
     # A callback of its own: with save_last=True Lightning 2.6 writes the last checkpoint only when it is the best.
     # It is written after every epoch, also if validation is rarer.
-    last = LastCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True)
+    last = ModelCheckpoint(run.checkpoints, filename="last", enable_version_counter=False, save_on_train_epoch_end=True)
     callbacks = [
         *(best, last, StopTogether()),
         *([LearningRateMonitor("epoch")] if loggers else []),
-        *(GradientNorm(), figures, BestValidation(run.checkpoints / "best.ckpt"), Stopwatch(str(run.place))),
+        *(GradientNorm(), figures, BestValidation(best), Stopwatch(str(run.place))),
         *(_instantiate(f"callbacks={name}", keys) for name, keys in origin["training"]["callbacks"].items()),
         ResumeHint(run.checkpoints / "last.ckpt"),
         *([NetworkSize()] if arguments["enable_model_summary"] else []),
     ]
     # submitit requeues preempted jobs, so Lightning must not
     slurm = [SLURMEnvironment(auto_requeue=False)] if SLURMEnvironment.detect() else []
+    if slurm and (names := sorted(run.directory.glob("hpc_ckpt_*"))):
+        raise CophyError(f"{names[0]}: Lightning would continue from it, but train.py writes no such file: delete it")
+    states = {each.state_key for each in callbacks if not isinstance(each, ModelCheckpoint)}
     try:
         trainer = L.Trainer(
             logger=built_loggers,
             callbacks=callbacks,
             default_root_dir=run.directory,
-            plugins=[WholeCheckpoints(origin, run.checkpoints), *slurm],
+            plugins=[WholeCheckpoints(origin, run.checkpoints, states), *slurm],
             use_distributed_sampler=False,  # the datamodules share batches among devices themselves
             **arguments,
         )
     except (TypeError, ValueError, RuntimeError, MisconfigurationException) as error:  # it takes nothing but arguments
         raise CophyError(f"trainer: {error}") from error
+    if trainer.accumulate_grad_batches < 1:
+        raise CophyError(f"trainer.accumulate_grad_batches={trainer.accumulate_grad_batches} must be at least 1")
     cores = os.cpu_count() or 1
     if isinstance(trainer.accelerator, CPUAccelerator) and trainer.num_devices > MAX_PROCESSES_PER_CORE * cores:
         raise CophyError(f"trainer.devices={trainer.num_devices} starts as many processes, but there are {cores} cores")
@@ -118,11 +122,12 @@ def fit(
     """Train, and return training_seconds and the validation metrics of the best epoch.
 
     Raises:
-        CophyError: Lightning refuses a combination of arguments.
+        CophyError: Lightning refuses a combination of arguments, or the checkpoint does not fit.
         SystemExit: The process was asked to end (SIGTERM).
     """
     try:
-        trainer.fit(module, data, ckpt_path=ckpt, weights_only=True)
+        with restoring(trainer, ckpt):
+            trainer.fit(module, data, ckpt_path=ckpt, weights_only=True)
     except MisconfigurationException as error:
         raise CophyError(f"trainer: {error}") from error
     except SIGTERMException as error:
@@ -132,6 +137,17 @@ def fit(
     (stopwatch,) = (each for each in callbacks if isinstance(each, Stopwatch))
     (best,) = (each for each in callbacks if isinstance(each, BestValidation))
     return {"training_seconds": round(stopwatch.seconds, 1), "validation": best.metrics}
+
+
+@contextmanager
+def restoring(trainer: L.Trainer, ckpt: Path | None) -> Iterator[None]:
+    """Report errors that Lightning raises while it restores a checkpoint as errors of that checkpoint."""
+    try:
+        yield
+    except LOADING_ERRORS as error:
+        if ckpt is None or not trainer._checkpoint_connector._loaded_checkpoint:  # kept until all is restored
+            raise
+        raise misfit(ckpt, error) from error
 
 
 def start_processes(trainer: L.Trainer, module: nn.Module) -> None:
