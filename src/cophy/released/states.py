@@ -113,8 +113,8 @@ class ReleasedStates(ExperimentSet):
     def fields(self, shard: int) -> Fields:
         scenario, count = self.spec.scenario, len(self.spec.experiments_of_shard(shard))
         return {
-            **scene_fields(count, scenario.clock.num_frames, scenario.num_slots),
-            "do_slot": Field((count,), "|u1"),
+            **scene_fields(count, scenario.clock.num_frames, scenario.num_slots, may_be_nan=True),
+            "do_slot": Field((count,), "|u1", limits=(0, scenario.num_slots - 1)),
             "do_offset": Field((count, 3), "<f4"),
             "clip": Field((count, 2), "|b1"),
             "problem": Field((count,), f"|S{MAX_PROBLEM_BYTES}"),
