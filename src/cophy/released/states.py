@@ -246,14 +246,17 @@ class ReleasedClips:
             capture = open_clip(path)
         except BrokenFileError as error:
             raise CophyError(str(error)) from error
+        edge = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         try:
             for index in range(indices[-1] + 1):
                 if index not in indices:
                     capture.grab()
                     continue
                 success, frame = capture.read()
-                if not success or frame.shape[0] != frame.shape[1]:
-                    raise CophyError(f"{path} has no square frame {index}: download it again")
+                if not success or frame.shape != (edge, edge, 3):
+                    raise CophyError(
+                        f"{path}: frame {index} is missing, not square or of another size: download it again"
+                    )
                 yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
         finally:
             capture.release()
