@@ -13,13 +13,13 @@ from unittest import mock
 
 import pytest
 import torch
-from filelock import FileLock
 
 from cophy.config import settings
 from cophy.dataset import generation
 from cophy.dataset.features import confounder_features, to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States, sort_by_twins
+from cophy.locks import locked
 from cophy.scenario import Scenario, Simulator
 from cophy.schemas import register
 from cophy.types import Batch
@@ -61,7 +61,7 @@ def once_per_session(tmp_path_factory: pytest.TempPathFactory, name: str, make: 
     session = tmp_path_factory.getbasetemp()
     directory = (session.parent if "PYTEST_XDIST_WORKER" in os.environ else session) / name
     directory.mkdir(exist_ok=True)
-    with FileLock(directory / ".session.lock"):
+    with locked(directory / ".session.lock", elsewhere="--basetemp"):
         if not (directory / ".complete").exists():
             make(directory)
             (directory / ".complete").touch()

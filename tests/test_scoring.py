@@ -249,7 +249,7 @@ WRONG_TRUTHS: dict[str, dict[str, Any]] = {
     "position has shape (2, 2, 3)": {"position": np.zeros((2, 2, 3))},
     "stable is bool of shape (2, 3, 2)": {"stable": np.zeros((2, 3, 2), dtype=bool)},
     "presence is int64": {"presence": np.ones((2, 2), dtype=np.int64)},
-    "position and initial has non-finite values": {
+    "position of experiment 12 has non-finite values": {
         "position": np.full((2, 2, 2, 3), np.nan),
         "initial": np.full((2, 2, 3), np.nan),
     },

@@ -341,10 +341,10 @@ def _check_truth(truth: Truth) -> None:
         array = getattr(truth, name)
         if array.shape != shape or array.dtype.kind not in kinds:
             raise CophyError(f"truth: {name} is {array.dtype} of shape {array.shape}, which does not fit {shape}")
-    present = truth.presence[:, None, :, None]
-    numbers = {"position": truth.position, "initial": truth.initial[:, None]}
-    if wrong := [name for name, array in numbers.items() if not np.isfinite(np.where(present, array, 0.0)).all()]:
-        raise CophyError(f"truth: {' and '.join(wrong)} has non-finite values")
+    for name, array in (("position", truth.position), ("initial", truth.initial[:, None])):
+        finite = np.isfinite(_present(array, truth.presence)).reshape(count, -1).all(axis=1)
+        if not finite.all():
+            raise CophyError(f"truth: {name} of experiment {truth.experiment[finite.argmin()]} has non-finite values")
     if truth.experiment.min() < 0 or len(np.unique(truth.experiment)) < count:
         raise CophyError("truth: the ids of experiments have to differ and to be at least 0")
     if np.unique(truth.pair[truth.pair >= 0], return_counts=True)[1].max(initial=0) > 2:

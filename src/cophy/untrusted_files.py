@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 MAX_FILE_BYTES = 64 << 20  # ours: the largest file of either format that is read whole is below 1 MiB
+MAX_EDGE = 4096  # pixels of an image, the limit of render.resolution
 MP4_BRAND = b"ftyp"  # bytes 4 to 7 of every MP4 file
 
 
@@ -67,7 +68,10 @@ def count_frames(path: Path) -> int:
 
 
 def open_clip(path: Path) -> cv2.VideoCapture:
-    """Open an MP4 file; other content is refused, because the decoder would guess the format and follow references."""
+    """Open an MP4 file of at most MAX_EDGE × MAX_EDGE pixels.
+
+    Other content is refused, because the decoder would guess the format and follow references.
+    """
     if path.is_symlink() or not path.is_file():
         raise BrokenFileError(f"{path} is not a regular file")
     with open(path, "rb") as file:
@@ -77,4 +81,11 @@ def open_clip(path: Path) -> cv2.VideoCapture:
         capture = cv2.VideoCapture(f"/dev/fd/{file.fileno()}", cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise BrokenFileError(f"{path} cannot be decoded")
+    check_size(path, *(int(capture.get(edge)) for edge in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)))
     return capture
+
+
+def check_size(path: Path, width: int, height: int) -> None:
+    """Refuse an image or a clip by its size, before it is decoded."""
+    if max(width, height) > MAX_EDGE:
+        raise BrokenFileError(f"{path} has {width} × {height} pixels, more than {MAX_EDGE} × {MAX_EDGE}")

@@ -14,8 +14,8 @@ from signal import SIGKILL
 from typing import Any
 
 import pytest
-from filelock import FileLock
 
+from cophy.locks import locked
 from tests.commands import run
 from tests.conftest import ROOT
 
@@ -86,7 +86,7 @@ def worlds(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     directory = (session.parent if "PYTEST_XDIST_WORKER" in os.environ else session) / "worlds"
     directory.mkdir(exist_ok=True)
     stages = [directory / f"{number}" for number in range(len(STEPS) + 1)]
-    with FileLock(directory / ".lock"):
+    with locked(directory / ".lock", elsewhere="--basetemp"):
         if not stages[-1].exists():
             world = directory / "world"  # configurations of runs name their folder, so it stays the same
             world.mkdir()

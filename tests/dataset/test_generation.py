@@ -1,6 +1,7 @@
 """Generation: it resumes, repairs, and writes the same bytes however it is run."""
 
 import errno
+import fcntl
 import os
 import signal
 import subprocess
@@ -9,9 +10,7 @@ import time
 from pathlib import Path
 from unittest import mock
 
-import h5py
 import pytest
-from filelock import FileLock
 
 from cophy.atomic_files import appearing_whole
 from cophy.dataset import generation
@@ -67,12 +66,12 @@ def test_intact_shards_are_not_replaced_where_they_cannot_be_read(
     directory = copy(finished, tmp_path)
     (directory / MANIFEST).unlink()  # so that shards are opened, not only hashed
 
-    def refuse(*args: object, **kwargs: object) -> None:
-        raise OSError(errno.EAGAIN, "unable to lock file")
+    def refuse(*args: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    monkeypatch.setattr(h5py, "File", refuse)
+    monkeypatch.setattr(os, "pread", refuse)
     before = {path.name: path.stat().st_mtime_ns for path in directory.glob("shard-*")}
-    with pytest.raises(OSError, match="unable to lock"):
+    with pytest.raises(OSError, match=r"Input/output error: .*shard-00000\.h5"):
         generate(tmp_path)
     assert {path.name: path.stat().st_mtime_ns for path in directory.glob("shard-*")} == before
 
@@ -95,13 +94,14 @@ def test_shards_without_permission_to_read_are_not_damaged(
     assert digests(directory) == digests(finished)
 
 
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
 def test_a_dataset_is_generated_on_a_file_system_without_locks(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    def refuse(self: FileLock) -> None:
-        raise NotImplementedError("FileSystem does not appear to support flock")
+    def refuse(*args: object) -> None:
+        raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(FileLock, "_acquire", refuse)
+    monkeypatch.setattr(fcntl, "flock", refuse)
     directory = copy(finished, tmp_path)
     (directory / MANIFEST).unlink()
     generate(tmp_path)
@@ -165,12 +165,12 @@ def test_the_temporary_file_of_another_process_is_kept(finished: Path, tmp_path:
 def test_finished_data_that_cannot_be_written_to_are_only_checked(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog, whole: bool
 ) -> None:
-    def refused(lock: FileLock) -> None:
-        raise OSError(errno.EROFS, "Read-only file system", lock.lock_file)
+    def refused(path: Path, **options: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
 
     caplog.set_level("INFO")
     directory = copy(finished, tmp_path)
-    monkeypatch.setattr(FileLock, "acquire", refused)
+    monkeypatch.setattr(generation, "locked", refused)
     if whole:
         generate(tmp_path)
         assert "all 48 experiments in 2 shards" in caplog.text

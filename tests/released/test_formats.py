@@ -9,9 +9,16 @@ import pytest
 from cophy.errors import CophyError
 from cophy.released.formats import kind_of
 from cophy.scenario import Shape
+from cophy.untrusted_files import BrokenFileError, count_frames
 from tests.conftest import settings
 from tests.released.indexing import LISTS, load
-from tests.released.trees import BALL_COLORS, COLLISION_COLORS, TOWER_COLORS, CoPhyTree, filtered_tree
+from tests.released.trees import BALL_COLORS, COLLISION_COLORS, TOWER_COLORS, CoPhyTree, clip, filtered_tree
+
+
+def test_a_huge_clip_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    clip(tmp_path / "rgb.mp4", 1, 5, 4112)
+    with pytest.raises(BrokenFileError, match="has 4112 × 4112 pixels"):
+        count_frames(tmp_path / "rgb.mp4")
 
 
 def raw(tree: CoPhyTree, path: str) -> np.ndarray:

@@ -1,7 +1,9 @@
 """A run: its names and place, the lock on its directory, and the files of its results."""
 
 import errno
+import fcntl
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +35,15 @@ def test_only_one_process_makes_a_run(run: Run) -> None:
             raise AssertionError("two at once")
         finish(run)
     assert sorted(path.name for path in run.directory.iterdir()) == [".lock", "metrics.json"]
+
+
+def test_a_run_on_a_file_system_without_locks_names_the_remedy(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*args: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(CophyError, match=r"cannot lock files .* source\.outputs="), run.locked():
+        raise AssertionError("it is not locked")
 
 
 def test_a_run_deletes_its_earlier_results_when_it_begins(run: Run) -> None:

@@ -138,6 +138,12 @@ class ExperimentSet(ShardSet):
             trained_on: Ids of these datasets.
         """
 
+    def invalid(self, arrays: Arrays, shard: int) -> Iterator[tuple[str, np.ndarray]]:
+        yield from super().invalid(arrays, shard)
+        present = arrays["presence"].any(axis=1)
+        for name in ("mass", "shape"):
+            yield f"{name} of an object is 0", (present & (arrays[name] == 0)).any(axis=1)
+
     def command_for(self, script: str) -> str:
         """Return the command that runs a script of src/ on these experiments."""
         return f"python src/{script}.py {self._keys}"

@@ -8,17 +8,17 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock
 from tqdm import tqdm
 
 from cophy.atomic_files import appearing_whole, without_leftovers
 from cophy.dataset.shards import MANIFEST, DamagedShardError, ShardSet
 from cophy.errors import CophyError
+from cophy.locks import NoLocksError, locked
 from cophy.workers import worker_pool
 
 PATIENCE_S = 30  # until a warning that there is no first experiment yet
@@ -37,7 +37,7 @@ def make(shards: ShardSet, *, workers: int) -> None:
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker imports the script that started it
         raise CophyError("generation starts processes: run it under `if __name__ == '__main__':` in your script")
     every = range(shards.spec.num_shards)
-    with _locked(shards.directory) as writable, without_leftovers(shards.directory):
+    with _locked_if_writable(shards.directory) as writable, without_leftovers(shards.directory):
         if writable:
             _complete(shards, every, workers)
         elif not shards.is_finished() or _missing(shards, every):
@@ -97,7 +97,10 @@ def _missing(shards: ShardSet, wanted: Iterable[int]) -> list[int]:
 
 
 def _generate(missing: list[int], shards: ShardSet, workers: int) -> None:
-    done, total = multiprocessing.get_context("spawn").Value("q", 0), sum(map(shards.num_steps, missing))
+    done, total = (
+        multiprocessing.get_context("spawn").Value("q", 0),
+        sum(len(shards.experiments(shard)) for shard in missing),
+    )
     start, is_warned, costs = time.monotonic(), False, defaultdict[str, float](float)
     with (
         progress_bar(shards.title, total) as bar,
@@ -142,23 +145,20 @@ def progress_bar(title: str, total: int) -> "tqdm[Any]":
 
 
 @contextmanager
-def _locked(directory: Path) -> Iterator[bool]:
+def _locked_if_writable(directory: Path) -> Iterator[bool]:
     """Lock a dataset's directory; yield False if it cannot be written to.
 
     On file systems without locks nothing is locked: two processes may then write the same shards, which appear whole.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(directory / ".lock")
     writable = True
-    try:
-        lock.acquire()
-    except NotImplementedError:  # raised by filelock: the file system has no locks
-        pass
-    except OSError as error:
-        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
-            raise
-        writable = False
-    try:
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(directory / ".lock", elsewhere="data_dir="))
+        except NoLocksError:
+            pass
+        except OSError as error:
+            if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+                raise
+            writable = False
         yield writable
-    finally:
-        lock.release()

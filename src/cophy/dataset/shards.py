@@ -7,8 +7,10 @@ directory of shards. Its manifest names the configuration, the versions of libra
 import errno
 import io
 import json
+import math
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -16,6 +18,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import h5py
+import hdf5plugin
 import numpy as np
 
 from cophy.atomic_files import read_plain, sha256, write_atomically
@@ -26,6 +29,9 @@ OLDEST_FORMAT = ("v110", "v110")  # of HDF5: pinned, so that bytes do not depend
 IDENTITY = "shard"  # attribute of a file: its dataset and its number
 MANIFEST = "manifest.json"
 VERSIONS = ("cophy", "numpy", "pybullet", "h5py", "hdf5plugin", "opencv-python-headless")  # bytes may depend on these
+
+MAX_FLOAT = float(np.finfo(np.float32).max)
+ZSTD_MAGIC, ZSTD_HEADER = b"\x28\xb5\x2f\xfd", 18  # largest size of a header, bytes
 
 Arrays = dict[str, np.ndarray]  # by name; the first axis is the experiment
 
@@ -41,6 +47,7 @@ class Field:
     shape: of the whole array. dtype: as NumPy writes it.
     axes, meaning, unit: a description, stored as attributes of the array. unit: empty if there is none.
     storage: how HDF5 stores it (chunks, filters), as keywords of `h5py.Group.create_dataset`.
+    limits: the smallest and the largest valid value. may_be_nan: whether NaN marks an unknown value.
     """
 
     shape: tuple[int, ...]
@@ -49,6 +56,8 @@ class Field:
     meaning: str = ""
     unit: str = ""
     storage: Mapping[str, Any] = field(default_factory=dict)
+    limits: tuple[float, float] = (-MAX_FLOAT, MAX_FLOAT)
+    may_be_nan: bool = False
 
     def attributes(self) -> dict[str, str]:
         """Return the description of the array, as the file stores it."""
@@ -78,7 +87,7 @@ def encode(arrays: Mapping[str, np.ndarray], fields: Fields, attributes: Mapping
 @contextmanager
 def create_file(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterator[dict[str, h5py.Dataset]]:
     """Create a file whose arrays are filled step by step: they may be larger than the memory."""
-    with h5py.File(path, "w", libver=OLDEST_FORMAT) as file:
+    with h5py.File(path, "w", libver=OLDEST_FORMAT, locking=False) as file:  # some file systems have no locks
         file.attrs.update(attributes)
         arrays = {
             name: file.create_dataset(name, field.shape, field.dtype, track_times=False, **field.storage)
@@ -93,8 +102,8 @@ def create_file(path: Path, fields: Fields, attributes: Mapping[str, str]) -> It
 def open_file(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterator[dict[str, h5py.Dataset]]:
     """Open a file and yield its arrays, without reading them.
 
-    Only arrays of the expected shape and type that are stored in this file are accepted. An attribute that the file has must
-    have the expected value.
+    Only arrays of the expected shape, type, chunks and filters that are stored in this file are accepted, and no chunk that
+    may unpack to gigabytes. An attribute that the file has must have the expected value.
 
     Raises:
         DamagedShardError: The file is truncated, lacks arrays or holds something else; also while arrays are read.
@@ -102,14 +111,16 @@ def open_file(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iter
     """
     check_plain(path)
     try:
-        with open_for_reading(path) as file:
+        with _Reader(path) as reader, h5py.File(reader, "r") as file:
             try:
+                if file.userblock_size:
+                    raise DamagedShardError("it begins with other content")
                 for name in attributes.keys() & file.attrs.keys():
                     if (value := str(file.attrs[name])) != attributes[name]:
                         raise DamagedShardError(
                             f"it belongs to other data: its {name} is {value}, not {attributes[name]}"
                         )
-                arrays = {name: _array_in(file, name, field) for name, field in fields.items()}
+                arrays = {name: _array_in(file, reader, name, field) for name, field in fields.items()}
             except (KeyError, TypeError, ValueError) as error:  # types that NumPy does not have, broken objects
                 raise DamagedShardError(str(error)) from error
             yield arrays
@@ -120,17 +131,41 @@ def open_file(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iter
 
 
 def open_for_reading(path: Path) -> h5py.File:
-    """Open an HDF5 file, without a lock if the file system has none or the process has the file open without one.
+    """Open an HDF5 file without a lock. Errors of the operating system have an errno and name the file, others have none."""
+    return h5py.File(_Reader(path), "r")
 
-    A process can open a file only with one kind of locking. Users who open a shard with h5py have its default, so that comes
-    first.
-    """
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        if error.errno is None and "locking" not in str(error):
+
+class _Reader(io.RawIOBase):
+    """A file that HDF5 reads through Python; processes that inherit it share no position."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._descriptor, self._position = path, os.open(path, os.O_RDONLY), 0
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        size = os.fstat(self._descriptor).st_size
+        self._position = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: size}[whence]
+        return self._position
+
+    def readinto(self, buffer: Any) -> int:
+        content = self.read_at(self._position, len(buffer))
+        buffer[:] = content
+        return len(content)
+
+    def read_at(self, position: int, count: int) -> bytes:
+        """Return this many bytes."""
+        try:
+            content = os.pread(self._descriptor, count, position)
+        except OSError as error:
+            error.filename = str(self._path)
             raise
-        return h5py.File(path, "r", locking=False)
+        if len(content) < count:
+            raise DamagedShardError("it is truncated")
+        return content
+
+    def close(self) -> None:
+        if not self.closed:
+            os.close(self._descriptor)
+        super().close()
 
 
 def check_plain(path: Path) -> None:
@@ -139,7 +174,7 @@ def check_plain(path: Path) -> None:
         raise DamagedShardError("it is not a regular file")
 
 
-def _array_in(file: h5py.File, name: str, field: Field) -> h5py.Dataset:
+def _array_in(file: h5py.File, reader: _Reader, name: str, field: Field) -> h5py.Dataset:
     """Return an array that is stored in this very file; links to other places are not followed."""
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise DamagedShardError(f"'{name}' is missing or points elsewhere")
@@ -149,7 +184,75 @@ def _array_in(file: h5py.File, name: str, field: Field) -> h5py.Dataset:
     if array.shape != field.shape or array.dtype != np.dtype(field.dtype):
         expected = f"{np.dtype(field.dtype)} {field.shape}"
         raise DamagedShardError(f"'{name}' is {array.dtype} {array.shape}, expected {expected}")
+    if (storage := _storage_of(array)) != (expected_storage := _expected_storage(field)):
+        raise DamagedShardError(f"'{name}' has {storage}, expected {expected_storage}")
+    if array.chunks is not None:
+        _check_chunks(array, reader)
     return array
+
+
+def _storage_of(array: h5py.Dataset) -> str:
+    return f"chunks {array.chunks} and filters {_filters(array)}"
+
+
+def _filters(array: h5py.Dataset) -> list[int]:
+    """Return the numbers of the filters of an array, as HDF5 registers them."""
+    properties = array.id.get_create_plist()
+    return [properties.get_filter(number)[0] for number in range(properties.get_nfilters())]
+
+
+def _expected_storage(field: Field) -> str:
+    if not field.storage:
+        return "chunks None and filters []"
+    with h5py.File(io.BytesIO(), "w") as file:
+        return _storage_of(file.create_dataset("array", field.shape, field.dtype, **field.storage))
+
+
+def _check_chunks(array: h5py.Dataset, reader: _Reader) -> None:
+    """Refuse chunks that may unpack to far more than their size, before one is read.
+
+    Deflate unpacks to at most 1032 times the stored size, which must not exceed the size of the chunk. Zstd has no such limit,
+    but its frames begin with the unpacked size, and HDF5 unpacks no more than that.
+    """
+    size, num_chunks = math.prod(array.chunks) * array.dtype.itemsize, 0
+    most = size + size // 100 + 64  # ours: more than compression and a checksum add
+    is_zstd = hdf5plugin.ZSTD_ID in _filters(array)
+
+    def check(chunk: h5py.h5d.StoreInfo) -> None:
+        nonlocal num_chunks
+        num_chunks += 1
+        head = reader.read_at(chunk.byte_offset, min(chunk.size, ZSTD_HEADER)) if is_zstd else b""
+        if chunk.size > most or (is_zstd and _zstd_size(head) != size):
+            raise DamagedShardError(f"'{array.name[1:]}' has a chunk that does not unpack to {size} bytes")
+        if num_chunks > math.prod(map(math.ceil, np.divide(array.shape, array.chunks))):
+            raise DamagedShardError(f"'{array.name[1:]}' has too many chunks")
+
+    array.id.chunk_iter(check)
+
+
+def _zstd_size(head: bytes) -> int | None:
+    """Return the unpacked size that the beginning of a Zstd frame declares (RFC 8878), None where it declares none."""
+    if len(head) < ZSTD_HEADER or head[:4] != ZSTD_MAGIC:
+        return None
+    flags = head[4]
+    is_single, start = flags >> 5 & 1, 5 + (0, 1, 2, 4)[flags & 3]
+    start, width = start + 1 - is_single, (is_single, 2, 4, 8)[flags >> 6]
+    return int.from_bytes(head[start : start + width], "little") + (256 if width == 2 else 0) if width else None
+
+
+def _invalid_values(arrays: Arrays, fields: Fields) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield what is wrong with the values of an array, and with which experiments, (experiment,) bool."""
+    for name, expected in fields.items():
+        (low, high), values = expected.limits, arrays[name]
+        if values.dtype.kind == "S":
+            continue
+        if values.dtype.kind == "b":  # HDF5 does not check that they are 0 or 1
+            low, high, values = 0, 1, values.view(np.uint8)
+        valid = (values >= low) & (values <= high)
+        if expected.may_be_nan:
+            valid |= np.isnan(values)
+        if not valid.all():
+            yield f"{name} holds {values[~valid][0]:g}", np.asarray(~valid.reshape(len(values), -1).all(axis=1))
 
 
 class Sharded(Protocol):
@@ -203,9 +306,13 @@ class ShardSet(ABC):
             The cost of it, by unit, to be logged.
         """
 
-    def num_steps(self, shard: int) -> int:
-        """Return how many experiments `write` reports through `advance` in total."""
-        return len(self.spec.experiments_of_shard(shard))
+    def experiments(self, shard: int) -> Sequence[int]:
+        """Return the experiments in a shard, all of which `write` reports through `advance`."""
+        return self.spec.experiments_of_shard(shard)
+
+    def invalid(self, arrays: Arrays, shard: int) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield what is wrong with the values in a shard, and with which of its experiments, (experiment,) bool."""
+        yield from _invalid_values(arrays, self.fields(shard))
 
     @abstractmethod
     def description(self) -> dict[str, Any]:
@@ -316,7 +423,11 @@ class ShardSet(ABC):
 
     def _read(self, shard: int) -> Arrays:
         with self.open(shard) as stored:
-            return {name: np.asarray(array[()]) for name, array in stored.items()}
+            arrays = {name: np.asarray(array[()]) for name, array in stored.items()}
+        for problem, rows in self.invalid(arrays, shard):
+            if rows.any():
+                raise DamagedShardError(f"experiment {self.experiments(shard)[int(rows.argmax())]}: {problem}")
+        return arrays
 
 
 def _version(package: str) -> str:

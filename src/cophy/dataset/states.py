@@ -13,7 +13,7 @@ from cophy.atomic_files import write_atomically
 from cophy.dataset.cards import write_card
 from cophy.dataset.experiment_set import ALL_FRAMES, ExperimentSet, NeededFrames
 from cophy.dataset.images import Images
-from cophy.dataset.shards import Arrays, Field, Fields, empty_arrays, encode
+from cophy.dataset.shards import MAX_FLOAT, Arrays, Field, Fields, empty_arrays, encode
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS
 from cophy.scenario import Displace, Experiment, Scenario, Shape, Simulator
@@ -26,20 +26,23 @@ EMPTY = "zero where a slot is empty"
 SHAPES = ", ".join(["0: none", *(f"{shape.value}: {shape.name.lower()}" for shape in Shape)])
 TEST_TWINS = "test_twins.csv"  # which test experiments are twins, to score predictions with; models must not see it
 WHICH_SEQUENCE = "sequence 0 is AB, which is observed, and 1 is CD, the counterfactual"
+MAX_STATE = 1e4  # ours, in m, m/s and rad/s: hundreds of times what happens in any scenario
 CONFOUNDERS_OF_OBJECTS = ("mass", "friction", "restitution")
 
 
-def scene_fields(count: int, num_times: int, num_slots: int) -> Fields:
+def scene_fields(count: int, num_times: int, num_slots: int, *, may_be_nan: bool = False) -> Fields:
     """Return the fields of `count` experiments that generated and released data share: scenes and their sequences.
 
     Args:
         count: Number of experiments.
         num_times: States of a sequence; they are compressed one experiment at a time.
         num_slots: Slots of the scenario.
+        may_be_nan: Whether confounders may be unknown.
     """
 
-    def per_slot(dtype: str, meaning: str, unit: str = "") -> Field:
-        return Field((count, num_slots), dtype, "experiment, slot", meaning, unit)
+    def per_slot(dtype: str, meaning: str, unit: str = "", *, limits: tuple[float, float]) -> Field:
+        nan = may_be_nan and dtype == "<f4"
+        return Field((count, num_slots), dtype, "experiment, slot", meaning, unit, limits=limits, may_be_nan=nan)
 
     states = (count, 2, num_times, num_slots, 13)
     return {
@@ -50,6 +53,7 @@ def scene_fields(count: int, num_times: int, num_slots: int) -> Fields:
             f"position (3), quaternion x y z w (4), linear velocity (3), angular velocity (3); {EMPTY}; {WHICH_SEQUENCE}",
             "m, 1, m/s, rad/s",
             {"chunks": (1, *states[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True},
+            (-MAX_STATE, MAX_STATE),
         ),
         "presence": Field(
             (count, 2, num_slots),
@@ -57,40 +61,49 @@ def scene_fields(count: int, num_times: int, num_slots: int) -> Fields:
             "experiment, sequence, slot",
             f"whether the slot holds an object; {WHICH_SEQUENCE}",
         ),
-        "shape": per_slot("|u1", f"{SHAPES}; an object that is removed in C has its shape"),
+        "shape": per_slot("|u1", f"{SHAPES}; an object that is removed in C has its shape", limits=(0, max(Shape))),
         "object_index": per_slot(
             "|i1",
             "place of the object in the scenario's own order, which `configuration` counts in (towers: from the bottom up); "
             "-1 where the slot is empty",
+            limits=(-1, num_slots - 1),
         ),
-        "mass": per_slot("<f4", f"mass; {HIDDEN}; {EMPTY}", "kg"),
-        "friction": per_slot("<f4", f"coefficient of lateral friction; {HIDDEN}; {EMPTY}", "1"),
-        "restitution": per_slot("<f4", f"coefficient of restitution; {HIDDEN}; {EMPTY}", "1"),
-        "gravity": Field((count, 3), "<f4", "experiment, x y z", f"gravity; {HIDDEN}", "m/s^2"),
+        "mass": per_slot("<f4", f"mass; {HIDDEN}; {EMPTY}", "kg", limits=(0, MAX_FLOAT)),
+        "friction": per_slot("<f4", f"coefficient of lateral friction; {HIDDEN}; {EMPTY}", "1", limits=(0, MAX_FLOAT)),
+        "restitution": per_slot("<f4", f"coefficient of restitution; {HIDDEN}; {EMPTY}", "1", limits=(0, 1)),
+        "gravity": Field((count, 3), "<f4", "experiment, x y z", f"gravity; {HIDDEN}", "m/s^2", may_be_nan=may_be_nan),
     }
 
 
 def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
     """Return the fields of `count` generated experiments."""
 
-    def per_experiment(dtype: str, meaning: str) -> Field:
-        return Field((count,), dtype, "experiment", meaning)
+    def per_experiment(dtype: str, meaning: str, values: int | None = None) -> Field:
+        limits = (-MAX_FLOAT, MAX_FLOAT) if values is None else (0, values - 1)
+        return Field((count,), dtype, "experiment", meaning, limits=limits)
 
     scenario = spec.scenario
+    num_configurations = scenario.confounders.num_configurations(spec.num_objects)
     return {
         **scene_fields(count, scenario.clock.num_states, scenario.num_slots),
-        "configuration": per_experiment("<i4", "index of the confounders' values among all combinations"),
+        "configuration": per_experiment(
+            "<i4", "index of the confounders' values among all combinations", num_configurations
+        ),
         "seen": per_experiment(
             "|b1", "whether the combination belongs to the half that the splits 3to3_unseen and 4to4_unseen train on"
         ),
-        "do_operation": per_experiment("|u1", f"what changes A into C: {_numbered(scenario.do_operations)}"),
-        "do_slot": per_experiment("|u1", "slot of the object that is removed or moved"),
+        "do_operation": per_experiment(
+            "|u1", f"what changes A into C: {_numbered(scenario.do_operations)}", len(scenario.do_operations)
+        ),
+        "do_slot": per_experiment("|u1", "slot of the object that is removed or moved", scenario.num_slots),
         "do_offset": Field(
             (count, 3), "<f4", "experiment, x y z", "by how much it is moved; zero where it is removed", "m"
         ),
-        "cell": per_experiment("|u1", f"the kind of experiment that was searched for: {_numbered(scenario.cells())}"),
+        "cell": per_experiment(
+            "|u1", f"the kind of experiment that was searched for: {_numbered(scenario.cells())}", len(scenario.cells())
+        ),
         "twin": per_experiment("<i4", "number of the pair of twins, equal for both; -1 in the test split"),
-        "split": per_experiment("|u1", _numbered(SPLITS)),
+        "split": per_experiment("|u1", _numbered(SPLITS), len(SPLITS)),
         "background_seed": per_experiment("<i4", "what floor and backdrop of the pictures follow from"),
     }
 

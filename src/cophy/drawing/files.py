@@ -8,18 +8,19 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 from cophy.atomic_files import write_atomically
 from cophy.errors import CophyError
 from cophy.scenario import Camera
-from cophy.untrusted_files import BrokenFileError, open_clip, read_bytes
+from cophy.untrusted_files import MAX_EDGE, BrokenFileError, check_size, open_clip, read_bytes
 
 SUFFIXES, IMAGE_FORMATS = (".png", ".jpg", ".jpeg"), ("PNG", "JPEG")
 MAX_FRAMES = 1000
-MAX_EDGE = 4096  # pixels, the limit of render.resolution
 MAX_RATE_ERROR = 0.01  # relative; ours: containers round
-MAX_PIXEL_BYTES = 2 << 30  # ours: all frames together, many times what any sequence has
+MAX_PIXEL_BYTES = 1 << 29  # ours: all frames together; 30 frames of 2440 × 2440
+MAX_SCANS = 100  # ours: of a JPEG file; each costs as much as a picture, usual files have ten
+_MARKER = re.compile(rb"\xff([^\x00\xd0-\xd7\xff])")  # of JPEG; other bytes after 0xff are data
 
 
 def write_image(path: Path, image: np.ndarray) -> None:
@@ -43,14 +44,14 @@ def read_frames(path: Path, *, frame_rate_hz: float | None = None) -> np.ndarray
     frames: list[np.ndarray] = []
     for frame in islice(_read_each(path, frame_rate_hz), MAX_FRAMES + 1):
         frames.append(frame)
+        if frame.shape != frames[0].shape:
+            raise CophyError(f"{path}: its images have different sizes")
         if len(frames) * frame.nbytes > MAX_PIXEL_BYTES:
             raise CophyError(
                 f"{path} holds more than {MAX_PIXEL_BYTES >> 20} MiB of pixels: give fewer or smaller images"
             )
     if not frames:
         raise CophyError(f"{path} holds no images: give a video, or a folder of .png or .jpg files")
-    if len({frame.shape for frame in frames}) > 1:
-        raise CophyError(f"{path}: its images have different sizes")
     return np.stack(frames)
 
 
@@ -72,16 +73,16 @@ def _read_image(path: Path) -> np.ndarray:
     try:
         content = read_bytes(path.resolve())
         with Image.open(io.BytesIO(content), formats=IMAGE_FORMATS) as image:
-            _check_size(path, *image.size)
-            image.load()  # refuses truncated images, which OpenCV does not
-        decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-        assert decoded is not None
-        return cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB)
-    except CophyError:
-        raise
-    except Exception as error:  # Pillow and OpenCV raise errors of many types on malformed files
+            check_size(path, *image.size)
+            if image.format == "JPEG" and _count_scans(content) > MAX_SCANS:
+                raise BrokenFileError(f"more than {MAX_SCANS} scans")
+            if image.mode[0] in "IF":
+                raise BrokenFileError("more than 8 bits per channel")
+            return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+    except Exception as error:  # Pillow raises errors of many types on malformed files
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise CophyError(f"{path} is not a complete image: give .png or .jpg files ({reason})") from error
+        remedy = f"give complete .png or .jpg files of at most {MAX_EDGE} × {MAX_EDGE} pixels"
+        raise CophyError(f"{path} cannot be read: {remedy} ({reason})") from error
 
 
 def _read_video(path: Path, frame_rate_hz: float | None) -> Iterator[np.ndarray]:
@@ -91,7 +92,6 @@ def _read_video(path: Path, frame_rate_hz: float | None) -> Iterator[np.ndarray]
         remedy = "give an MP4 file, or a folder of .png or .jpg files"
         raise CophyError(f"{path} is not a readable video: {remedy} ({error})") from error
     try:
-        _check_size(path, *(int(video.get(edge)) for edge in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)))
         rate = video.get(cv2.CAP_PROP_FPS)
         if frame_rate_hz and rate > 0 and abs(rate - frame_rate_hz) > MAX_RATE_ERROR * frame_rate_hz:
             raise CophyError(
@@ -103,9 +103,13 @@ def _read_video(path: Path, frame_rate_hz: float | None) -> Iterator[np.ndarray]
         video.release()
 
 
-def _check_size(path: Path, width: int, height: int) -> None:
-    if max(width, height) > MAX_EDGE:
-        raise CophyError(f"{path} has {width} × {height} pixels: give an image of at most {MAX_EDGE} × {MAX_EDGE}")
+def _count_scans(jpeg: bytes) -> int:
+    """Return the number of scans of an image: a few bytes can repeat the work of decoding all pixels."""
+    count, position = 0, 2
+    while (marker := _MARKER.search(jpeg, position)) and marker[1] != b"\xd9":  # end of image
+        count += marker[1] == b"\xda"  # start of scan
+        position = marker.end() + int.from_bytes(jpeg[marker.end() : marker.end() + 2], "big")
+    return count
 
 
 def encode_gif(frames: np.ndarray, *, frames_per_second: float) -> bytes:

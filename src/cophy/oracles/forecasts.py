@@ -85,7 +85,7 @@ class OracleForecasts(ShardSet):
         rows, fields = self._rows(shard), self.fields(shard)
         arrays, stored = self.states.read(shard), empty_arrays(fields)
         first = self.spec.experiments_of_shard(shard)[0]
-        stored["experiment"][:] = rows + first
+        stored["experiment"][:] = self.experiments(shard)
         with CachingSimulator() as simulator:
             for index in range(0, len(rows), 2):
                 simulator.clear_cache()  # twins share scenes, pairs do not
@@ -99,8 +99,8 @@ class OracleForecasts(ShardSet):
         path.write_bytes(encode(stored, fields, self.attributes(shard)))
         return {"simulations": simulator.num_simulations}
 
-    def num_steps(self, shard: int) -> int:
-        return len(self._rows(shard))
+    def experiments(self, shard: int) -> list[int]:
+        return (self._rows(shard) + self.spec.experiments_of_shard(shard)[0]).tolist()
 
     def fields(self, shard: int) -> Fields:
         scenario, count = self.spec.scenario, len(self._rows(shard))

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from filelock import FileLock
 from PIL import ImageColor
 
 from cophy.atomic_files import check_space, read_plain, write_atomically
@@ -19,6 +18,7 @@ from cophy.dataset.images import Images
 from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States, do_operation_of
 from cophy.errors import CophyError
+from cophy.locks import locked
 from cophy.released.formats import SEQUENCE_FOLDERS, TASKS, ReleasedTask
 from cophy.scenario import Remove, Scenario, Shape
 from cophy.scenario.rendering import NO_OBJECT
@@ -166,7 +166,7 @@ def export(states: States, images: Images | None, root: Path) -> Path:
     folder = task.directory(root, spec.num_objects)
     lists = _export_lists(arrays, task, spec.num_objects)
     _claim(folder, states, images, root / "splits", lists)
-    with FileLock(folder / ".lock"):
+    with locked(folder / ".lock", elsewhere="root="):
         for leftover in folder.glob(".*.tmp"):
             shutil.rmtree(leftover)
         missing = [row for row in range(len(arrays["split"])) if not (folder / str(row)).exists()]

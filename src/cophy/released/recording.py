@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS
+from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, MAX_STATE
 from cophy.scenario import Scenario
 from cophy.scenario.confounders import ConfounderGrid
 
@@ -13,7 +13,6 @@ from cophy.scenario.confounders import ConfounderGrid
 # apart, and their noise is below 0.001 (0.0997877 for 0.1)
 SNAP_TOLERANCE = 0.02
 UNIT_TOLERANCE = 0.01  # ours: how far the norm of a quaternion may be from 1
-MAX_STATE = 1e4  # ours, in m, m/s and rad/s: hundreds of times what happens in any scenario
 
 
 class BrokenExperimentError(Exception):

@@ -113,8 +113,8 @@ class ReleasedStates(ExperimentSet):
     def fields(self, shard: int) -> Fields:
         scenario, count = self.spec.scenario, len(self.spec.experiments_of_shard(shard))
         return {
-            **scene_fields(count, scenario.clock.num_frames, scenario.num_slots),
-            "do_slot": Field((count,), "|u1"),
+            **scene_fields(count, scenario.clock.num_frames, scenario.num_slots, may_be_nan=True),
+            "do_slot": Field((count,), "|u1", limits=(0, scenario.num_slots - 1)),
             "do_offset": Field((count, 3), "<f4"),
             "clip": Field((count, 2), "|b1"),
             "problem": Field((count,), f"|S{MAX_PROBLEM_BYTES}"),
@@ -246,14 +246,17 @@ class ReleasedClips:
             capture = open_clip(path)
         except BrokenFileError as error:
             raise CophyError(str(error)) from error
+        edge = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         try:
             for index in range(indices[-1] + 1):
                 if index not in indices:
                     capture.grab()
                     continue
                 success, frame = capture.read()
-                if not success or frame.shape[0] != frame.shape[1]:
-                    raise CophyError(f"{path} has no square frame {index}: download it again")
+                if not success or frame.shape != (edge, edge, 3):
+                    raise CophyError(
+                        f"{path}: frame {index} is missing, not square or of another size: download it again"
+                    )
                 yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
         finally:
             capture.release()

@@ -27,10 +27,9 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from cophy.atomic_files import check_space
 from cophy.errors import CophyError
+from cophy.locks import locked
 
 ANSWERS, SIMULATED = "answers.sqlite", "simulated.sqlite"  # files of human and of simulated participants
 PERSON = "person"  # kind of all participants who are not simulated
@@ -253,8 +252,6 @@ def exclusive(path: Path) -> Iterator[None]:
         CophyError: Another process holds the lock.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        with FileLock(f"{path}.lock", timeout=0):
-            yield
-    except Timeout:
-        raise CophyError(f"{path} is being written by another process: set another folder with directory=") from None
+    busy = f"{path} is being written by another process: set another folder with directory="
+    with locked(path.with_name(f"{path.name}.lock"), elsewhere="directory=", busy=busy):
+        yield

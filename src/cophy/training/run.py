@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
 import numpy as np
-from filelock import FileLock, Timeout
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from cophy.atomic_files import write_atomically
 from cophy.errors import SAFE, CophyError
+from cophy.locks import locked
 
 if TYPE_CHECKING:
     from cophy.bootstrap import Ratio
@@ -133,11 +133,8 @@ class Run:
             yield
             return
         self.directory.mkdir(parents=True, exist_ok=True)
-        try:
-            lock = FileLock(self.directory / ".lock", timeout=0).acquire()
-        except Timeout as error:
-            raise CophyError(f"{self.directory}: another process is making this run; wait until it is done") from error
-        with lock:
+        busy = f"{self.directory}: another process is making this run; wait until it is done"
+        with locked(self.directory / ".lock", elsewhere="source.outputs=", busy=busy):
             self._check_earlier_results(tests_checkpoint)
             (self.directory / FAILURE).unlink(missing_ok=True)
             try:

@@ -81,13 +81,18 @@ class TrainedDerenderer:
                 )
 
     def __call__(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """De-render (N, R, R, 3) uint8 images to positions (N, K, 3) in metres and presence logits (N, K)."""
+        """De-render (N, R, R, 3) uint8 images to positions (N, K, 3) in metres and presence logits (N, K).
+
+        Raises:
+            CophyError: An output is not finite.
+        """
         network = self._loaded()
         images = torch.stack([to_image(frame, network.resolution) for frame in rgb])
         device = network.mean.device
         with torch.no_grad():
             outputs = [network(part.to(device).float() / 255) for part in torch.split(images, FRAMES_PER_BATCH)]
         position, presence = (torch.cat(parts).cpu().numpy() for parts in zip(*outputs, strict=True))
+        _check_finite(np.concatenate([position, presence[..., None]], axis=-1), f"derenderer={self.source}")
         return position, presence
 
     def __getstate__(self) -> dict[str, Any]:
@@ -250,7 +255,6 @@ def predict(
         "position": np.stack([position, position_in_c])[None],
         "presence_logit": np.stack([logit, logit_in_c])[None],
     }
-    _check_finite(estimates["position"], f"derenderer={derenderer.source}")
     inputs = estimated_inputs(estimates, predictor.scenario)
     if not inputs.presence.any():
         raise CophyError("the de-renderer finds no object in C: is it trained, and does the image show its scenario?")
@@ -261,8 +265,8 @@ def predict(
     return Counterfactual(positions[0], inputs.presence[0].numpy())
 
 
-def _check_finite(positions: np.ndarray, checkpoint: str) -> None:
-    if not np.isfinite(positions).all():
+def _check_finite(outputs: np.ndarray, checkpoint: str) -> None:
+    if not np.isfinite(outputs).all():
         raise CophyError(f"{checkpoint} {NOT_FINITE}")
 
 
