@@ -71,7 +71,12 @@ def committed() -> str:
 def line_of(path: Path, commit: str) -> dict[str, object]:
     """A run's line of the table."""
     line = read_line(path)
-    return line | {"datasets": " ".join(line["dataset_ids"]), "max_epochs": line["epochs"], "commit": commit}
+    measures = {
+        f"{measure}{end}": line.get(f"{kind}.{measure}")
+        for measure in (*MEASURES, *PIXELS)
+        for end, kind in (("", "metrics"), ("_low", "low"), ("_high", "high"))
+    }
+    return line | measures | {"datasets": " ".join(line["dataset_ids"]), "max_epochs": line["epochs"], "commit": commit}
 
 
 def shares(tested: pd.DataFrame) -> list[list[float]]:

@@ -3,6 +3,7 @@
 import errno
 import glob
 import hashlib
+import json
 import os
 import shutil
 import socket
@@ -10,15 +11,17 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 MACHINE = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 ABANDONED_S = 86400  # ours: a temporary file of another machine is abandoned after a day without a write
+MAX_BYTES = 64 << 20  # ours: the largest file that is read whole is below 10 MiB
 FULL = 1 << 20  # bytes; ours: with less free space, files count as not written
 
 
 def check_space(path: Path) -> None:
-    """Raise OSError if the disk is full: HDF5 and OpenCV may truncate a file without an error."""
+    """Raise OSError if the disk is full: OpenCV may truncate a file without an error."""
     if shutil.disk_usage(path.parent).free < FULL:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
@@ -27,11 +30,29 @@ def read_plain(path: Path) -> bytes:
     """Return the content of a file.
 
     Raises:
-        OSError: It does not exist or is not a regular file: opening a pipe would block forever.
+        OSError: It does not exist, is not a regular file (opening a pipe would block forever), or is too large.
     """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+    if path.stat().st_size > MAX_BYTES:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     return path.read_bytes()
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the dictionary in a JSON file.
+
+    Raises:
+        OSError: See `read_plain`.
+        ValueError: The file holds something else.
+    """
+    try:
+        content = json.loads(read_plain(path))
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+    if not isinstance(content, dict):
+        raise ValueError("it holds no dictionary")
+    return content
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -59,10 +80,6 @@ def appearing_whole(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         check_space(temporary)
         os.replace(temporary, path)
-    except RuntimeError as error:  # HDF5 has no other error for a full disk when it closes a file
-        if f"errno = {errno.ENOSPC}," in str(error):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
-        raise
     except OSError as error:
         if error.errno is not None and (error.filename is None or str(error.filename) == str(temporary)):
             error.filename = str(path)

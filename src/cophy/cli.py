@@ -5,13 +5,17 @@ conf/*.yaml (hydra.help.template) call it as `${keys_of:<file>,...}`.
 """
 
 import errno
+import io
 import json
+import logging
 import os
 import re
 import shutil
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from difflib import get_close_matches
 from enum import Enum
 from functools import wraps
@@ -31,24 +35,63 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
+from cophy.atomic_files import read_json
 from cophy.config import CONF
-from cophy.errors import SAFE, CophyError
+from cophy.errors import SAFE, CophyError, printable
 from cophy.schemas import register
 from cophy.training.run import FAILURE, SWEEP
+
+
+class LogFile(logging.FileHandler):
+    """The log file of a run, which is opened by the first message."""
+
+    def __init__(self, filename: str) -> None:
+        super().__init__(filename, encoding="utf-8", delay=True)
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 (a method of logging.Handler)
+        """Leave a full disk to the files that matter; they are named if they cannot be written."""
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handleError(record)
+
+
+def _printable_record(*arguments: Any, **keywords: Any) -> logging.LogRecord:
+    """Return a record of a log; its message may quote files and names from elsewhere."""
+    record = logging.LogRecord(*arguments, **keywords)
+    record.msg, record.args = printable(record.getMessage()), None
+    return record
+
+
+def _print_error_of_thread(arguments: threading.ExceptHookArgs) -> None:
+    """Print the error that ended a thread, unless TensorBoard's could not write: the run raises that error, too."""
+    if not (isinstance(arguments.exc_value, OSError) and type(arguments.thread).__module__.startswith("tensorboard.")):
+        threading.__excepthook__(arguments)
+
+
+# at import, because processes of Hydra's launchers import this module and call no function of it before they need it
+logging.setLogRecordFactory(_printable_record)
+threading.excepthook = _print_error_of_thread
+if isinstance(sys.stdout, io.TextIOWrapper):
+    sys.stdout.reconfigure(errors="replace")  # of characters that the terminal or pipe cannot encode
 
 # hydra/launcher=local: joblib replaces a worker whose memory has grown; no run is lost
 warnings.filterwarnings("ignore", "A worker stopped while some jobs were given to the executor")
 
-_sweeps: list[tuple[Path, str]] = []  # sweeps of this process: root of the runs, and unique name
+_outputs: list[tuple[Path, str | None]] = []  # of this process: folder of a run, or root of a sweep and its unique name
 
 
-class NoteSweep(Callback):
-    """Note the root and name of a sweep; Hydra calls this in the process that starts the runs (conf/train.yaml)."""
+class NoteOutputs(Callback):
+    """Note where files go, and the name of a sweep; Hydra calls this in the process that starts the runs (conf/train.yaml)."""
+
+    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Note the folder of a run."""
+        HydraConfig.instance().set_config(config)  # run.dir refers to it
+        with suppress(OmegaConfBaseException):  # Hydra itself reports the error
+            _outputs.append((Path(config.hydra.run.dir), None))
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Put the name of the sweep into the environment, from where its runs copy it into failure.json."""
         os.environ[SWEEP] = uuid4().hex
-        _sweeps.append((Path(config.hydra.sweep.dir), os.environ[SWEEP]))
+        _outputs.append((Path(config.hydra.sweep.dir), os.environ[SWEEP]))
 
 
 def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], None]]:
@@ -70,21 +113,25 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
             except Exception as error:  # a sweep continues with its other runs
                 if HydraConfig.get().mode is RunMode.MULTIRUN or not is_user_error(error):
                     raise
-                sys.exit(f"{sys.argv[0]}: {explain(error)}")  # here, so that Hydra does not log the error, too
+                sys.exit(
+                    printable(f"{sys.argv[0]}: {explain(error)}")
+                )  # here, so that Hydra does not log the error, too
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(task)
 
         @wraps(function)
         def run() -> None:
             os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # Hydra raises errors instead of printing them
-            _sweeps.clear()
+            _outputs.clear()
             try:
                 main()
             except Exception as error:
                 if not is_user_error(error):
                     raise
                 failures = _failed_runs()
-                sys.exit(f"{sys.argv[0]}: {_list_failures(failures) if len(failures) > 1 else explain(error)}")
+                sys.exit(
+                    printable(f"{sys.argv[0]}: {_list_failures(failures) if len(failures) > 1 else explain(error)}")
+                )
             except KeyboardInterrupt:
                 sys.exit(f"{sys.argv[0]}: interrupted; finished shards and checkpoints are kept")
 
@@ -95,11 +142,16 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
 
 def _failed_runs() -> list[str]:
     """Return a line for each failed run of this process's last sweep: its directory, and the error."""
-    if not _sweeps:
+    root, sweep = _outputs[-1] if _outputs else (Path(), None)
+    if sweep is None:
         return []
-    root, sweep = _sweeps[-1]
-    notes = {path.parent: json.loads(path.read_bytes()) for path in sorted(root.rglob(FAILURE))}
-    return [f"{directory}: {note['error']}" for directory, note in notes.items() if note.get("sweep") == sweep]
+    failures = []
+    for path in sorted(root.rglob(FAILURE)):
+        with suppress(OSError, ValueError):  # a file that no run of this sweep wrote
+            note = read_json(path)
+            if note.get("sweep") == sweep:
+                failures.append(f"{path.parent}: {note['error']}")
+    return failures
 
 
 def _list_failures(failures: list[str]) -> str:
@@ -116,6 +168,9 @@ PACKAGES = {  # first lines of the files in these groups; those of ablations and
     **dict.fromkeys(("optimizer", "schedule"), "training.{group}"),
     **{"callbacks": "training.callbacks.{name}", "logger": "logger.{name}"},
 }
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
+OF_DISKS = (*FULL_DISK, errno.EIO, errno.EROFS, errno.EFBIG, errno.ESTALE)  # errors of writing may name no file
+OF_RESOLVER = "CophyError raised while resolving interpolation: "
 SLURM_ERRORS = {  # text in errors of Hydra and submitit -> explanation
     'Could not detect "srun"': "hydra/launcher=slurm: there is no srun here, so this is no node of a SLURM cluster",
     "has not produced any output": "a job ended without a result; its output is in .submitit/ next to the runs; the same command continues",
@@ -125,7 +180,7 @@ SLURM_ERRORS = {  # text in errors of Hydra and submitit -> explanation
 
 def is_user_error(error: BaseException) -> bool:
     """Return whether the user can fix an error, so that one line is enough."""
-    if isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOSPC):
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in OF_DISKS):
         return True
     if isinstance(error, HydraException | OmegaConfBaseException | CophyError) or str(error).startswith(LOGGING_ERROR):
         return True
@@ -134,11 +189,10 @@ def is_user_error(error: BaseException) -> bool:
 
 def explain(error: BaseException) -> str:
     """Return one line for an error that the user can fix."""
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        file = "the first files of a run" if error.filename is None else os.fsdecode(error.filename)  # Hydra names none
-        return f"no space left for {file}: {SAFE}"
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{os.fsdecode(error.filename)}: {error.strerror}"
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in OF_DISKS):
+        # Hydra names none of the first files of a run
+        file = os.fsdecode(error.filename) if error.filename is not None else _outputs[-1][0] if _outputs else "a file"
+        return f"{file}: {error.strerror}" + (f"; {SAFE}" if error.errno in FULL_DISK else "")
     if slurm := _explain_slurm(error):
         return slurm
     if str(error).startswith(LOGGING_ERROR):
@@ -163,6 +217,8 @@ def explain(error: BaseException) -> str:
         return f"{missing}= has no value; --help says what it is"
     if isinstance(cause, OmegaConfBaseException) and cause.key is not None:
         what = (cause.msg or str(cause)).splitlines()[0]
+        if what.startswith(OF_RESOLVER):
+            return what.removeprefix(OF_RESOLVER)
         return f"{cause.full_key or cause.key}: {what}{_suggest_key(str(cause.key), cause.parent_node)}"
     return " ".join(line.strip() for line in str(error).splitlines() if line.strip())
 
@@ -248,7 +304,7 @@ OmegaConf.register_new_resolver("keys_of", keys_of, replace=True)
 
 def read_meanings(file: str) -> dict[str, str]:
     """Return the keys of conf/<file>.yaml whose comment explains them, with the explanation; nested keys as "block.key"."""
-    text = (CONF / f"{file}.yaml").read_text()
+    text = (CONF / f"{file}.yaml").read_text(encoding="utf-8")
     text = re.sub(rf"^ *{SELDOM}.*?(\n\n|\Z)", "\n", text, flags=re.MULTILINE | re.DOTALL)
     block = yaml.compose(text)
     assert isinstance(block, yaml.MappingNode)
@@ -266,7 +322,7 @@ def _read_comments(block: yaml.MappingNode, lines: list[str], prefix: str) -> It
 
 def _groups(file: str) -> list[str]:
     """Return the groups in the defaults list of conf/<file>.yaml."""
-    entries = yaml.safe_load((CONF / f"{file}.yaml").read_text())["defaults"]
+    entries = yaml.safe_load((CONF / f"{file}.yaml").read_text(encoding="utf-8"))["defaults"]
     names = [name for entry in entries if isinstance(entry, dict) for name in entry]
     return [name for name in names if not name.startswith(("schema/", "override ", "optional "))]
 

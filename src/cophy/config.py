@@ -252,5 +252,13 @@ def _resolve_variant(*, _root_: DictConfig) -> str:
     return variant(_root_, _root_.hydra)
 
 
+def _resolve_outputs(*, _root_: DictConfig) -> str:
+    """Return `${outputs:}`, source.outputs as the folder above all runs: an empty name would be the root of the file system."""
+    if not _root_.source.outputs:
+        raise CophyError("source.outputs= is empty: it names a folder")
+    return str(_root_.source.outputs)
+
+
 # at import, because processes of Hydra's launchers import this module and call no function of it before they need it
 OmegaConf.register_new_resolver("variant", _resolve_variant, replace=True)
+OmegaConf.register_new_resolver("outputs", _resolve_outputs, replace=True)

@@ -1,4 +1,4 @@
-"""The exception for mistakes of the user, whose message is printed in one line, and the message for a full disk."""
+"""The exception for mistakes of the user, whose message is printed in one line, and text that is safe to print."""
 
 import re
 
@@ -21,3 +21,11 @@ def check_name(key: str, name: str) -> None:
         raise ValueError(
             f"{key}={name}: a name has letters, digits, '.', '-' and '_', and begins with one of the first two"
         )
+
+
+def printable(text: str) -> str:
+    """Return a text whose control characters, except line breaks, and lone surrogates are escaped: no terminal obeys them."""
+    return "".join(
+        character if character.isprintable() or character == "\n" else character.encode("unicode_escape").decode()
+        for character in text
+    )

@@ -139,7 +139,7 @@ def test_a_note_that_may_not_be_read_does_not_mean_never_trained(run: Run, monke
     def refuse(path: Path) -> bytes:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(reuse, "read_plain", refuse)
+    monkeypatch.setattr(reuse, "read_json", refuse)
     with pytest.raises(PermissionError):
         start_training(run, "same", reuse=True, ckpt=None)
     assert (run.checkpoints / "best.ckpt").read_text() == "weights"

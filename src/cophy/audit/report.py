@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from cophy.atomic_files import write_atomically
 from cophy.audit.bias import ClassifierCheck, check_bias, check_stored_order
 from cophy.audit.checks import (
     Check,
@@ -119,7 +120,7 @@ def write_page(checks: Sequence[Check], arrays: Arrays, spec: DatasetSpec, direc
         *(f"\n![{title}]({name})" for title, (name, _) in figures.items()),
     ]
     page = directory / "audit.md"
-    page.write_text("\n".join(lines) + "\n")
+    write_atomically(page, ("\n".join(lines) + "\n").encode())
     return page
 
 

@@ -73,9 +73,10 @@ class ComposedData:
         source = size if size in FORMATS else GENERATED
         if source != self.source:
             raise CophyError(f"its data come from source={source}, but these tables are for source={self.source}")
+        counts = self.scenario(scenario).num_objects
         if source != GENERATED:
             return None
-        return frozenset(self.dataset(scenario, count, size).id for count in self.scenario(scenario).num_objects)
+        return frozenset(self.dataset(scenario, count, size).id for count in counts)
 
     def dataset(
         self, scenario: str, num_objects: int, size: str, data_seed: int = 0, overrides: Sequence[str] = ()

@@ -9,9 +9,10 @@ import io
 import json
 import math
 import os
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,7 +22,7 @@ import h5py
 import hdf5plugin
 import numpy as np
 
-from cophy.atomic_files import read_plain, sha256, write_atomically
+from cophy.atomic_files import read_json, sha256, write_atomically
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 
@@ -86,16 +87,33 @@ def encode(arrays: Mapping[str, np.ndarray], fields: Fields, attributes: Mapping
 
 @contextmanager
 def create_file(path: Path, fields: Fields, attributes: Mapping[str, str]) -> Iterator[dict[str, h5py.Dataset]]:
-    """Create a file whose arrays are filled step by step: they may be larger than the memory."""
-    with h5py.File(path, "w", libver=OLDEST_FORMAT, locking=False) as file:  # some file systems have no locks
-        file.attrs.update(attributes)
-        arrays = {
-            name: file.create_dataset(name, field.shape, field.dtype, track_times=False, **field.storage)
-            for name, field in fields.items()
-        }
-        for name, field in fields.items():
-            arrays[name].attrs.update(field.attributes())
-        yield arrays
+    """Create a file whose arrays are filled step by step: they may be larger than the memory.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    try:
+        file = h5py.File(path, "w", libver=OLDEST_FORMAT, locking=False)  # some file systems have no locks
+        try:
+            file.attrs.update(attributes)
+            arrays = {
+                name: file.create_dataset(name, field.shape, field.dtype, track_times=False, **field.storage)
+                for name, field in fields.items()
+            }
+            for name, field in fields.items():
+                arrays[name].attrs.update(field.attributes())
+            yield arrays
+            file.flush()
+        except BaseException:  # nobody will read the file, and HDF5 may crash if it cannot write while it closes one
+            with open(os.devnull, "r+b") as nowhere, suppress(RuntimeError):
+                os.dup2(nowhere.fileno(), file.id.get_vfd_handle())
+                file.close()
+            raise
+        file.close()
+    except (OSError, RuntimeError) as error:
+        if number := re.search(r"errno = (\d+)", str(error)):  # in several lines of text of HDF5
+            raise OSError(int(number[1]), os.strerror(int(number[1])), str(path)) from error
+        raise
 
 
 @contextmanager
@@ -348,10 +366,9 @@ class ShardSet(ABC):
         if not path.exists():
             return None
         try:
-            manifest = json.loads(read_plain(path))
-        except (ValueError, RecursionError):
-            manifest = None
-        checksums = manifest.get("shards") if isinstance(manifest, dict) else None
+            checksums = read_json(path).get("shards")
+        except ValueError:
+            checksums = None
         if not isinstance(checksums, dict) or checksums.keys() != names or set(map(type, checksums.values())) != {str}:
             raise CophyError(f"{path} is damaged: it has no SHA-256 of each shard. Delete it and run `{self.command}`")
         return checksums

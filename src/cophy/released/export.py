@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from PIL import ImageColor
 
-from cophy.atomic_files import check_space, read_plain, write_atomically
+from cophy.atomic_files import check_space, read_json, read_plain, write_atomically
 from cophy.dataset.generation import progress_bar
 from cophy.dataset.images import Images
 from cophy.dataset.splits import SPLITS, Part
@@ -81,15 +81,15 @@ class _Experiment:
         _write_array(directory / "confounders.npy", confounders)
         if self.task.has_gravity:
             x, y, _ = self.arrays["gravity"].tolist()
-            (directory / "gravity.txt").write_text(f"gravity_x={x:g} gravity_y={y:g}\n")
+            (directory / "gravity.txt").write_text(f"gravity_x={x:g} gravity_y={y:g}\n", "utf-8")
         else:
-            (directory / "explanations.txt").write_text(self._explanation())
+            (directory / "explanations.txt").write_text(self._explanation(), "utf-8")
 
     def _write_sequence(self, directory: Path, sequence: int) -> None:
         clock, pictures = self.scenario.clock, self.pictures
         length = min(clock.num_frames, self.task.max_frames or clock.num_frames)
         _write_array(directory / "states.npy", self.arrays["states"][sequence, :: clock.states_per_frame][:length])
-        (directory / "colors.txt").write_text(self.task.colors_header + "".join(self._color_lines(sequence)))
+        (directory / "colors.txt").write_text(self.task.colors_header + "".join(self._color_lines(sequence)), "utf-8")
         if pictures is None:
             return
         boxes = pictures["boxes"][sequence, :length].astype(np.float64)
@@ -198,8 +198,8 @@ def _claim(folder: Path, states: States, images: Images | None, splits: Path, li
     content = {"format": EXPORT_VERSION, "dataset": states.id, "pictures": pictures}
     marker = folder / MARKER
     try:
-        ours = json.loads(read_plain(marker)) == content
-    except (OSError, ValueError, RecursionError):
+        ours = read_json(marker) == content
+    except (OSError, ValueError):
         ours = not folder.exists() or not os.listdir(folder)
     if not ours:
         expected = f"{states.id} {'without images' if pictures is None else f'with {pictures}'}"

@@ -30,20 +30,20 @@ def twin_tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     Args:
         runs: See `read_runs`.
     """
-    if not set(TWIN_METRICS) <= set(runs.columns):
+    if not {f"metrics.{name}" for name in TWIN_METRICS} <= set(runs.columns):
         return {}
     return {
         f"{title}: {kind}": _wide(group, partial(_twin_cell, metric=metric))
-        for kind, group in group_runs(runs[runs["right_twin_chosen"].notna()])
+        for kind, group in group_runs(runs[runs[[f"metrics.{name}" for name in TWIN_METRICS]].notna().all(axis=1)])
         for metric, title in TWIN_METRICS.items()
     }
 
 
 def _twin_cell(runs: pd.DataFrame, metric: str) -> Cell:
     seeds = comparable_seeds(runs)
-    means = (100 * seeds[f"{metric}{end}"].mean() for end in ("", "_low", "_high"))
+    means = (100 * seeds[f"{column}.{metric}"].mean() for column in ("metrics", "low", "high"))
     value, low, high = (round(percent, 1) + 0.0 for percent in means)  # no "-0.0"
-    deviation = f"± {100 * seeds[metric].std():.1f}" if len(seeds) > 1 else ""
+    deviation = f"± {100 * seeds[f'metrics.{metric}'].std():.1f}" if len(seeds) > 1 else ""
     return Cell(f"{value:.1f} %", deviation, f"[{low:.1f}, {high:.1f}]")
 
 
@@ -80,7 +80,7 @@ def _overview_cell(runs: pd.DataFrame) -> Cell:
     lengths = sorted(finished.loc[finished["is_trained"].astype(bool), "epochs"].astype(int).unique())
     epochs = f"{', '.join(map(str, lengths))} " if lengths else ""
     seeds = comparable_seeds(finished)
-    text = f"{seeds['mse'].mean():.3f} ({epochs}× {len(seeds)})"
+    text = f"{seeds['metrics.mse'].mean():.3f} ({epochs}× {len(seeds)})"
     return Cell(text if len(finished) == len(runs) else f"{text}, {failed}")
 
 
@@ -92,8 +92,12 @@ def summarize_runs(runs: pd.DataFrame) -> pd.DataFrame:
     if runs.empty:
         return runs
     names, separate = [*PLACE, "size"], [name for name in ("epochs", "derenderer") if name in runs]
-    metrics = [column.removesuffix("_low") for column in runs.columns if column.endswith("_low")]
-    known = runs.fillna(dict.fromkeys(separate, MISSING)).assign(failed=runs["error"].notna())
+    metrics = [column for column in runs.columns if column.startswith("metrics.")]
+    known = (
+        runs.astype(dict.fromkeys(separate, object))
+        .fillna(dict.fromkeys(separate, MISSING))
+        .assign(failed=runs["error"].notna())
+    )
     groups = known.groupby([*names, *separate])
     summary = groups.size().rename("runs").reset_index()
     failed, means, deviations = groups["failed"].sum().to_numpy(), groups[metrics].mean(), groups[metrics].std()
@@ -113,7 +117,9 @@ def summarize_runs(runs: pd.DataFrame) -> pd.DataFrame:
         table["training (s)"] = seconds.mean().map(_as_text).to_numpy()
     for metric in metrics:
         pairs = zip(means[metric], deviations[metric], strict=True)
-        table[metric.replace("_", " ")] = [_mean_and_deviation(mean, deviation) for mean, deviation in pairs]
+        table[metric.removeprefix("metrics.").replace("_", " ")] = [
+            _mean_and_deviation(mean, deviation) for mean, deviation in pairs
+        ]
     return table
 
 

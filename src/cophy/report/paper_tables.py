@@ -153,7 +153,7 @@ def register_tables() -> None:
 
 @cache
 def _description() -> dict[str, Any]:
-    content: dict[str, Any] = yaml.safe_load((files("cophy.report") / "paper_tables.yaml").read_text())
+    content: dict[str, Any] = yaml.safe_load((files("cophy.report") / "paper_tables.yaml").read_text("utf-8"))
     return content
 
 

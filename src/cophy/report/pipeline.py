@@ -87,18 +87,18 @@ class Report:
         runs = read_runs(outputs, configurations.dataset_ids)
         self.supplement, self.unused = supplement or Supplement(), runs.attrs["unused"]
         self.configurations, self.show_all = configurations, show_all
+        self.stored: dict[Path, StoredPredictions] = {}
+        if len(runs):
+            predictors = runs[runs["error"].isna() & ~runs["model"].str.startswith("derenderer")]
+            self.stored = read_stored_predictions(predictors, configurations.scenario)
+            self.unused += len(predictors) - len(self.stored)
+            runs = runs[~runs["directory"].isin(set(predictors["directory"]) - set(self.stored))]
         if runs.empty and not self.supplement.tables:
             if self.unused:
                 raise CophyError(f"outputs={outputs}: no run can be reported, for the reasons above")
             raise CophyError(f"outputs={outputs}: there are no runs; train.py writes them (python src/train.py --help)")
-        if runs.empty:
-            self.finished, self.stored, self.runs = runs, dict[Path, StoredPredictions](), runs
-        else:
-            self.finished = runs[runs["error"].isna()]
-            predictors = self.finished[~self.finished["model"].str.startswith("derenderer")]
-            self.stored = read_stored_predictions(predictors)
-            damaged = set(predictors["directory"]) - set(self.stored)
-            self.finished, self.runs = (part[~part["directory"].isin(damaged)] for part in (self.finished, runs))
+        self.runs = runs if len(runs) else pd.DataFrame()
+        self.finished = runs[runs["error"].isna()] if len(runs) else self.runs
         names = self.finished["scenario"].unique() if len(self.finished) else ()
         self.scenarios = {str(name): configurations.scenario(str(name)) for name in names}
         scores = {directory: predictions.scores for directory, predictions in self.stored.items()}
@@ -240,8 +240,8 @@ def write_report(
     paths = [directory / "figures" / name for name in drawn]
     with nullcontext() if len(drawn) < MANY_FIGURES else worker_pool(NUM_PROCESSES) as processes:
         written = (map if processes is None else processes.map)(write_figure, paths, drawn.values())
-        report.show()
         report.write_tables(directory)
+        report.show()
         list(written)
     unused = f" ({report.unused} more are left out, see above)" if report.unused else ""
     message = "%s%s; tables (md, tex, csv), their captions and %d figures (png, pdf) are in\n%s"

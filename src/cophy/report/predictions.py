@@ -1,6 +1,7 @@
 """Stored predictions of runs: scores per experiment, errors over time, and examples."""
 
 import logging
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +12,14 @@ import pandas as pd
 
 from cophy.drawing.plots import error_over_time
 from cophy.errors import CophyError
+from cophy.scenario import Scenario
 from cophy.scoring import Predictions, Scores, Truth, score
 from cophy.training.run import read_predictions
 
 log = logging.getLogger(__name__)
 
 NUM_EXAMPLES = 2  # one twin pair, which shares C but not D
+RELATIVE_MSE_TOLERANCE = 1e-6  # metrics.json has all digits
 NUM_THREADS = 4  # zlib releases the GIL
 
 
@@ -45,23 +48,31 @@ class StoredPredictions:
     examples: dict[str, np.ndarray]
 
 
-def read_stored_predictions(runs: pd.DataFrame) -> dict[Path, StoredPredictions]:
+def read_stored_predictions(runs: pd.DataFrame, scenario: Callable[[str], Scenario]) -> dict[Path, StoredPredictions]:
     """Return directory -> predictions of finished predictors; the log names those that are missing or damaged.
 
     Args:
         runs: See `read_runs`.
+        scenario: Returns the scenario of a name. Predictions have its number of steps and slots.
     """
     lines = runs.to_dict("records")
+    scenarios = [scenario(line["scenario"]) for line in lines]
     with ThreadPoolExecutor(NUM_THREADS) as threads:
-        stored = dict(zip((line["directory"] for line in lines), threads.map(_read, lines), strict=True))
+        stored = dict(zip((line["directory"] for line in lines), threads.map(_read, lines, scenarios), strict=True))
     return {directory: predictions for directory, predictions in stored.items() if predictions is not None}
 
 
-def _read(run: dict[Any, Any]) -> StoredPredictions | None:
+def _read(run: dict[Any, Any], scenario: Scenario) -> StoredPredictions | None:
     try:
         arrays, dims = read_predictions(run["directory"]), int(run["metric_dims"])
+        shape = (int(run["num_test"]), scenario.clock.num_frames - 1, scenario.num_slots, 3)
+        if arrays["target"].shape != shape or dims != scenario.task.metric_dims:
+            raise CophyError(f"its predictions are not those of {shape[0]} test experiments: run it again")
         scores = scores_of(arrays, dims)
-    except CophyError as error:
+        if not np.isclose(mse := scores.mse.mean(), run["metrics.mse"], rtol=RELATIVE_MSE_TOLERANCE):
+            message = f"its predictions have MSE {mse:.6f}, its metrics.json says {run['metrics.mse']:.6f}"
+            raise CophyError(f"{message}: run it again")
+    except (CophyError, OSError) as error:
         log.warning("%s is skipped: %s", run["directory"], error)
         return None
     curve = error_over_time(arrays["position"], arrays["target"], arrays["presence"], dims=dims)

@@ -1,6 +1,5 @@
 """Print the results of a run: its test MSE next to copy baselines, the paper's number and the oracles."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from cophy.atomic_files import read_json
 from cophy.errors import CophyError
 from cophy.report.paper_tables import published_mse
 from cophy.report.predictions import stored_scores
@@ -27,7 +27,7 @@ IN_PERCENT = {
 
 def show_results(run: Run) -> None:
     """Print a small table of the metrics.json of a finished run, and its path."""
-    content = json.loads((run.directory / METRICS).read_bytes())
+    content = read_json(run.directory / METRICS)
     table = Table(
         box=SIMPLE_HEAD, title=f"{run.model} ({run.ablation}) on {run.scenario} {run.split}", title_justify="left"
     )
@@ -57,7 +57,10 @@ def _lines(run: Run, content: dict[str, Any]) -> Iterator[tuple[str, str]]:
     oracles = [_oracle(run.root / run.scenario / run.split / name, content) for name in ENDS_OF_SHARE]
     if None not in oracles:
         lines = [{"directory": path, "metric_dims": content["metric_dims"]} for path in (run.directory, *oracles)]
-        share = share_of_gain(*([stored_scores(line)] for line in lines))
+        try:
+            share = share_of_gain(*([stored_scores(line)] for line in lines))
+        except (CophyError, OSError):  # damaged predictions of an oracle; report.py names them
+            return
         if not np.isnan(share.value):
             yield "Share of the possible gain", f"{share.value:.0%} [{share.low:.0%}, {share.high:.0%}]"
 
@@ -70,7 +73,7 @@ def _oracle(directory: Path, content: dict[str, Any]) -> Path | None:
     for path in sorted(directory.glob(f"full/ground_truth/seed*/{METRICS}"), key=lambda path: len(path.parent.name)):
         try:
             other = read_line(path)
-        except CophyError:  # a file that train.py did not write; report.py names it
+        except (CophyError, OSError):  # a file that train.py did not write; report.py names it
             continue
         if other["dataset_ids"] == content["dataset_ids"] and other["num_test"] <= content["num_test"]:
             return path.parent

@@ -1,9 +1,8 @@
 """The runs below outputs/ as a table with one line per run, and which of them may be averaged."""
 
 import functools
-import json
 import logging
-import math
+import re
 import textwrap
 from collections.abc import Callable, Collection
 from pathlib import Path
@@ -11,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import yaml
 from rich.console import Console
 
-from cophy.errors import CophyError
-from cophy.training.run import FAILURE, METRICS
+from cophy.atomic_files import read_json
+from cophy.errors import CophyError, check_name, printable
+from cophy.training.run import FAILURE, LARGEST_NUMBER, METRICS
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +25,9 @@ POSITIONS = {  # what a predictor sees, and how the report says it
     "train_ground_truth_test_derendered": "estimated positions in testing",
 }
 CHECKPOINTS = ("derenderer", "predictor")  # hashes of checkpoints that the user named
-COUNTS = ("num_train", "num_test", "training_seconds", "wall_seconds")
+VARIANT = re.compile(r"(\+[\w.+-]+)?")
+ERROR = re.compile(r"\w+:")  # the start of a failed run's error; so it is no formula of a spreadsheet either
+MAX_NAME, MAX_ERROR = 255, 2000  # characters
 # parts of a variant that leave a run in its table: captions name the size, the epochs and the de-renderer
 IN_CAPTIONS = ("size-", "max_epochs-", "derenderer-")
 MISSING = "—"
@@ -42,63 +43,97 @@ def notice(text: str) -> str:
 def read_line(path: Path) -> dict[str, Any]:
     """Return names, counts, metrics and intervals of metrics.json, or names and error of failure.json.
 
+    Metrics have keys of their own, so that none is taken for anything else: `metrics.<name>`, and `low.<name>` and
+    `high.<name>` for the interval.
+
+    Args:
+        path: The file, in the directory where train.py puts it.
+
     Raises:
         CophyError: The file is not what train.py writes.
+        OSError: It cannot be read.
     """
     try:
-        content = json.loads(path.read_bytes())
+        content = read_json(path)
+        line = _names(content, path.parent) | {"seed": _count(content, "seed"), "directory": path.parent}
+        if f"seed{line['seed']}{line['variant']}" != path.parent.name:
+            raise ValueError("seed and variant are not those of its folder")
+        return line | (_failure(content) if path.name == FAILURE else _results(content))
     except ValueError as error:
-        raise CophyError(f"{path.name} is no JSON: {error}") from error
-    if not isinstance(content, dict):
-        raise CophyError(f"{path.name} is no dictionary")
-    line: dict[str, Any] = {name: _text(content, name) for name in (*PLACE, "size")}
-    line |= {"seed": int(_number(content, "seed")), "variant": content.get("variant", ""), "directory": path.parent}
-    if path.name == FAILURE:
-        return line | {"error": _text(content, "error"), "has_begun": content.get("has_begun") is not False}
-    line |= {name: _number(content, name) for name in COUNTS} | {"error": None}
-    line |= {name: content.get(name) for name in ("dataset_ids", *CHECKPOINTS)}
-    line["is_trained"] = line["training_seconds"] > 0 or line["predictor"] is not None  # in this run or an earlier one
-    metrics, intervals = content.get("metrics"), content.get("intervals")
-    if not (isinstance(metrics, dict) and isinstance(intervals, dict) and isinstance(line["dataset_ids"], list)):
-        raise CophyError("metrics, intervals or dataset_ids are missing: run the same command again")
+        raise CophyError(f"{path.name} was not written by train.py: {error}") from error
+
+
+def _names(content: dict[str, Any], directory: Path) -> dict[str, str]:
+    """Return the names of a run, which are those of the folders that it is in."""
+    names = dict(zip(PLACE, directory.parts[-len(PLACE) - 1 : -1], strict=True)) | {
+        "variant": content.get("variant", "")
+    }
+    if others := [name for name in PLACE if content.get(name) != names[name]]:
+        raise ValueError(f"{', '.join(others)} are not those of its folder")
+    for name in ("size", *PLACE):
+        names[name] = _name(content, name)
+    if names["positions"] not in POSITIONS:
+        raise ValueError(f"positions are not among {', '.join(POSITIONS)}")
+    if not isinstance(names["variant"], str) or not VARIANT.fullmatch(names["variant"]):
+        raise ValueError("variant is invalid")
+    return names
+
+
+def _failure(content: dict[str, Any]) -> dict[str, Any]:
+    error = content.get("error")
+    if not isinstance(error, str) or not ERROR.match(error):
+        raise ValueError("error is no type and message of an error")
+    return {"error": printable(" ".join(error[:MAX_ERROR].split())), "has_begun": content.get("has_begun") is not False}
+
+
+def _results(content: dict[str, Any]) -> dict[str, Any]:
+    metrics, intervals, ids = (content.get(name) for name in ("metrics", "intervals", "dataset_ids"))
+    if not (isinstance(metrics, dict) and isinstance(intervals, dict) and isinstance(ids, list) and "mse" in metrics):
+        raise ValueError("it has no metrics.mse, no intervals or no dataset_ids")
+    results: dict[str, Any] = {
+        "error": None,
+        "num_train": _count(content, "num_train"),
+        "num_test": _count(content, "num_test", smallest=1),
+        "epochs": _count(content, "max_epochs", smallest=-1),  # -1 is no limit
+        "metric_dims": _count(content, "metric_dims", smallest=1, largest=3),
+        **{name: _number(content, name) for name in ("training_seconds", "wall_seconds")},
+        "dataset_ids": [_name({"dataset_ids": each}, "dataset_ids") for each in ids],
+        **{name: None if content.get(name) is None else _name(content, name) for name in CHECKPOINTS},
+    }
+    results["is_trained"] = results["training_seconds"] > 0 or results["predictor"] is not None  # here or earlier
     for name in metrics:
-        line[name] = _number(metrics, name)
+        _name({"a name of metrics": name}, "a name of metrics")
+        results[f"metrics.{name}"] = _number(metrics, name)
         match intervals.get(name):
             case [low, high]:
-                bounds = {f"{name}_low": low, f"{name}_high": high}
-                line |= {key: _number(bounds, key) for key in bounds}
-            case other:
-                raise CophyError(f"intervals.{name}: {other} is no interval")
-    line["metric_dims"], line["epochs"] = _dims_and_epochs(content, path.parent)
-    return line
+                ends = {f"low.{name}": low, f"high.{name}": high}
+                results |= {end: _number(ends, end) for end in ends}
+            case _:
+                raise ValueError(f"intervals.{name} is no interval")
+    return results
 
 
-def _text(content: dict[str, Any], name: str) -> str:
-    value = content.get(name)
-    if not isinstance(value, str):
-        raise CophyError(f"{name}: {value} is no text")
-    return value
+def _name(content: dict[str, Any], key: str) -> str:
+    """Return a name that every medium shows as it is."""
+    name = content.get(key)
+    if not isinstance(name, str) or len(name) > MAX_NAME:
+        raise ValueError(f"{key} is no name")
+    check_name(key, name)
+    return name
 
 
 def _number(content: dict[str, Any], name: str) -> float:
     value = content.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise CophyError(f"{name}: {value} is no finite number")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
+        raise ValueError(f"{name} is no number up to {LARGEST_NUMBER:g}")
+    return float(value)
+
+
+def _count(content: dict[str, Any], name: str, *, smallest: int = 0, largest: float = LARGEST_NUMBER) -> int:
+    value = content.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or not smallest <= value <= largest:
+        raise ValueError(f"{name} is no integer from {smallest} to {largest:g}")
     return value
-
-
-def _dims_and_epochs(content: dict[str, Any], directory: Path) -> tuple[int, int]:
-    """Return the coordinates that count for the MSE and the epochs; earlier versions left them to .hydra/config.yaml."""
-    if "metric_dims" in content and "max_epochs" in content:
-        return int(_number(content, "metric_dims")), int(_number(content, "max_epochs"))
-    path = directory / ".hydra" / "config.yaml"
-    try:
-        config = yaml.load(path.read_bytes(), Loader=yaml.CSafeLoader)
-        factor = 1 if content["model"].startswith("derenderer") else config["split"].get("epochs_factor", 1)
-        epochs = max(factor * int(config["trainer"]["max_epochs"]), -1)  # -1 is no limit
-        return int(config["scenario"]["task"]["metric_dims"]), epochs
-    except (OSError, yaml.YAMLError, KeyError, ValueError) as error:
-        raise CophyError(f"no metric_dims in {METRICS}, and none in {path.name}: run the same command again") from error
 
 
 def read_runs(outputs: Path, dataset_ids: DatasetIds) -> pd.DataFrame:
@@ -114,9 +149,9 @@ def read_runs(outputs: Path, dataset_ids: DatasetIds) -> pd.DataFrame:
             Raises CophyError where the runs are not for these tables.
 
     Returns:
-        One line per run: names, directory, counts, epochs, metric_dims, every test metric and its interval (`_low`,
-        `_high`). A failed run has its `error` instead of results; `error` is None for the others. `attrs`: how many runs
-        are `unused`, because they fill no table or cannot be read.
+        One line per run: names, directory, counts, epochs, metric_dims, every test metric and its interval (see `read_line`).
+        A failed run has its `error` instead of results; `error` is None for the others. `attrs`: how many runs are `unused`,
+        because they fill no table or cannot be read.
     """
     paths = sorted(path for name in (METRICS, FAILURE) for path in outputs.glob(f"*/*/*/*/*/seed*/{name}"))
     dataset_ids = functools.cache(dataset_ids)
@@ -124,11 +159,10 @@ def read_runs(outputs: Path, dataset_ids: DatasetIds) -> pd.DataFrame:
     for path in paths:
         try:
             line = read_line(path)
-            _check_place(line)
             reason = _reason_to_exclude(line, dataset_ids)
-        except CophyError as error:
+        except (CophyError, OSError) as error:
             unused += 1
-            log.warning("%s is skipped: %s", path, " ".join(str(error).split()))
+            log.warning("%s", " ".join(f"{path.parent} is skipped: {error}".split()))
             continue
         if reason:
             excluded.setdefault(reason, []).append(" ".join(line[name] for name in PLACE[:3]))
@@ -145,14 +179,6 @@ def read_runs(outputs: Path, dataset_ids: DatasetIds) -> pd.DataFrame:
     table = pd.DataFrame(lines)
     table.attrs["unused"] = unused + sum(map(len, excluded.values()))
     return table
-
-
-def _check_place(line: dict[str, Any]) -> None:
-    names = [*(line[name] for name in PLACE), f"seed{line['seed']}{line['variant']}"]
-    if list(line["directory"].parts[-len(names) :]) != names:
-        raise CophyError(f"its content is of {'/'.join(names)}")
-    if line["positions"] not in POSITIONS:
-        raise CophyError(f"positions: {line['positions']} is not among {', '.join(POSITIONS)}")
 
 
 def _reason_to_exclude(line: dict[str, Any], dataset_ids: DatasetIds) -> str:

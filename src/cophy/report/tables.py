@@ -197,12 +197,13 @@ def _cell(runs: pd.DataFrame, names: dict[str, str], metric: str, scale: float) 
     """Return the numbers of a cell and the runs that they summarise."""
     runs = select(runs, **names)
     failed = int(runs["error"].notna().sum()) if len(runs) else 0
-    runs = runs[runs[metric].notna()] if metric in runs else runs.iloc[:0]
+    values = f"metrics.{metric}"
+    runs = runs[runs[values].notna()] if values in runs else runs.iloc[:0]
     if runs.empty:
         return {"seeds": 0, "failed": failed}, runs
     runs = comparable_seeds(runs)
-    numbers = {"ours": runs[metric].mean(), "sd": runs[metric].std()}
-    numbers |= {end: runs[f"{metric}_{end}"].mean() for end in ("low", "high")}
+    numbers = {"ours": runs[values].mean(), "sd": runs[values].std()}
+    numbers |= {end: runs[f"{end}.{metric}"].mean() for end in ("low", "high")}
     return {name: scale * value for name, value in numbers.items()} | {"seeds": len(runs), "failed": failed}, runs
 
 

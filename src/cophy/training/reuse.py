@@ -18,7 +18,7 @@ import torch
 from torch import nn
 
 import cophy
-from cophy.atomic_files import read_plain, sha256, write_atomically
+from cophy.atomic_files import read_json, sha256, write_atomically
 from cophy.errors import CophyError
 from cophy.training.checkpoints import read_file
 from cophy.training.run import Run
@@ -29,7 +29,7 @@ PACKAGE = Path(cophy.__file__).parent
 CODE = ("scenario", "dataset", "models", "training")  # the subpackages that weights depend on
 FINISHED, BEGUN = "finished.json", "begun.json"
 STOPPED = "last_of_stopped.ckpt"
-NOTES: dict[str, dict[str, Any]] = {  # the types of their values
+NOTES: dict[str, dict[str, Any]] = {  # the types of what they hold
     FINISHED: {"fingerprint": str, "training_seconds": int | float, "validation": dict, "resumed": int},
     BEGUN: {"fingerprint": str, "resumed": int},
 }
@@ -179,13 +179,11 @@ def _read(checkpoints: Path, name: str) -> dict[str, Any]:
     """Return what a training stored about itself; nothing if it stored nothing."""
     path = checkpoints / name
     try:
-        content = json.loads(read_plain(path))
+        content = read_json(path)
     except FileNotFoundError:
         return {}
     except ValueError as error:
         raise CophyError(f"{path} is damaged ({error}): delete it to train again") from error
-    if not isinstance(content, dict) or not all(
-        isinstance(content.get(key), each) for key, each in NOTES[name].items()
-    ):
-        raise CophyError(f"{path} lacks {', '.join(sorted(NOTES[name]))}: delete it to train again")
+    if wrong := [key for key, kind in NOTES[name].items() if not isinstance(content.get(key), kind)]:
+        raise CophyError(f"{path} has no valid {', '.join(wrong)}: delete it to train again")
     return content

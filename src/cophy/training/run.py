@@ -9,19 +9,18 @@ import io
 import json
 import logging
 import os
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zipfile import BadZipFile
+from zipfile import ZipFile
 
 import numpy as np
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from cophy.atomic_files import write_atomically
-from cophy.errors import SAFE, CophyError
+from cophy.atomic_files import read_json, write_atomically
+from cophy.errors import CophyError
 from cophy.locks import locked
 
 if TYPE_CHECKING:
@@ -40,6 +39,8 @@ OPTIONAL_ARRAYS = {
     **dict.fromkeys(("confounder_class", "probe_mass_and_friction"), ("i", "n k 2")),
     **{"probe_mass": ("i", "n k"), "probe_friction": ("i", "n k"), "probe_most_frequent": ("i", "2")},
 }
+MAX_ARRAY_BYTES = 1 << 30  # ours: the paper's largest test split has 0.05 GiB
+LARGEST_NUMBER = 1e15  # ours: its square is finite in single precision
 SWEEP = "COPHY_SWEEP"  # environment variable: a unique name of the sweep that a run belongs to
 LOGGED = (  # metrics in the last line of a run's log
     *("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy"),
@@ -142,8 +143,8 @@ class Run:
             except Exception as error:
                 with suppress(OSError):  # the disk may be full
                     self.write_failure(error)
-                if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-                    raise CophyError(f"no space left for {self.directory}: {SAFE}") from error
+                if isinstance(error, OSError) and error.errno is not None and error.filename is None:
+                    error.filename = str(self.directory)  # of TensorBoard's files, for example
                 raise
 
     def delete_earlier_results(self) -> None:
@@ -184,13 +185,11 @@ class Run:
     def _check_earlier_results(self, tests_checkpoint: bool) -> None:
         path = self.directory / METRICS
         try:
-            content = json.loads(path.read_bytes())
+            content = read_json(path)
         except FileNotFoundError:
             return
         except ValueError as error:
             raise CophyError(f"{path} is damaged ({error}): delete it and run the command again") from error
-        if not isinstance(content, dict):
-            raise CophyError(f"{path} was not written by train.py: delete it or choose another hydra.run.dir")
         content = {"variant": "", **content}  # earlier versions did not write it
         if others := [f"{key}={content.get(key)}" for key, name in self.names().items() if content.get(key) != name]:
             raise CophyError(
@@ -252,10 +251,16 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
     """
     path = directory / PREDICTIONS
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in (*ARRAYS, *(name for name in OPTIONAL_ARRAYS if name in file))}
+        with path.open("rb") as stream, ZipFile(stream) as archive:
+            if sum(member.file_size for member in archive.infolist()) > MAX_ARRAY_BYTES:
+                raise ValueError(f"more than {MAX_ARRAY_BYTES} bytes of arrays")
+            stored = {member.removesuffix(".npy") for member in archive.namelist()}
+            arrays = {
+                name: np.lib.format.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False)
+                for name in (*ARRAYS, *(name for name in OPTIONAL_ARRAYS if name in stored))
+            }
         _check_arrays(arrays)
-    except (OSError, ValueError, KeyError, EOFError, MemoryError, BadZipFile, zlib.error) as error:
+    except Exception as error:  # zipfile, zlib and NumPy raise errors of many types
         if isinstance(error, OSError) and error.errno not in (None, errno.ENOENT):
             raise  # the operating system refuses access: nothing is known about the file
         raise CophyError(f"{path} is missing or damaged ({error}): run its train.py command again") from error
@@ -263,21 +268,23 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
 
 
 def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise ValueError if arrays do not have the shapes and types of one test split, or hold non-finite numbers."""
+    """Raise ValueError if arrays are not those of one test split: shapes, types, numbers, and an object per experiment."""
     count, steps, slots, _ = arrays["target"].shape
     sizes = {"n": {count}, "t": {steps}, "t|1": {steps, 1}, "k": {slots}, "2": {2}, "3": {3}}
 
     def fits(array: np.ndarray, kinds: str, axes: str) -> bool:
         names = axes.split()
-        if array.dtype.kind not in kinds or array.ndim != len(names):
+        if array.dtype.kind not in kinds or array.dtype.itemsize > 8 or array.ndim != len(names):
             return False
         return all(name == "any" or size in sizes[name] for name, size in zip(names, array.shape, strict=True))
 
     fields = ARRAYS | OPTIONAL_ARRAYS
     if wrong := [name for name, array in arrays.items() if not fits(array, *fields[name])]:
         raise ValueError(f"shape or type of {', '.join(wrong)}")
-    if wrong := [name for name, array in arrays.items() if not np.isfinite(array).all()]:
-        raise ValueError(f"non-finite numbers in {', '.join(wrong)}")
+    if wrong := [name for name, array in arrays.items() if not (np.abs(array) <= LARGEST_NUMBER).all()]:
+        raise ValueError(f"non-finite or huge numbers in {', '.join(wrong)}")
+    if not count or not arrays["presence"].any(axis=1).all():
+        raise ValueError("an experiment without objects, or none at all")
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
