@@ -61,7 +61,7 @@ def _printable_record(*arguments: Any, **keywords: Any) -> logging.LogRecord:
     return record
 
 
-def _print_error_of_thread(arguments: threading.ExceptHookArgs) -> None:
+def print_error_of_thread(arguments: threading.ExceptHookArgs) -> None:
     """Print the error that ended a thread, unless TensorBoard's could not write: the run raises that error, too."""
     if not (isinstance(arguments.exc_value, OSError) and type(arguments.thread).__module__.startswith("tensorboard.")):
         threading.__excepthook__(arguments)
@@ -69,7 +69,7 @@ def _print_error_of_thread(arguments: threading.ExceptHookArgs) -> None:
 
 # at import, because processes of Hydra's launchers import this module and call no function of it before they need it
 logging.setLogRecordFactory(_printable_record)
-threading.excepthook = _print_error_of_thread
+threading.excepthook = print_error_of_thread
 if isinstance(sys.stdout, io.TextIOWrapper):
     sys.stdout.reconfigure(errors="replace")  # of characters that the terminal or pipe cannot encode
 

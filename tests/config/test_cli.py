@@ -1,9 +1,17 @@
 """Unusable values end a command with one line that names them, before anything is generated."""
 
+import errno
+import logging
+import os
+import subprocess
+import sys
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from cophy.cli import LogFile, explain, is_user_error, print_error_of_thread
 from tests.commands import run
 
 REFUSED = [  # override, and what the error must contain; values that are refused in composing: see test_config.py
@@ -46,3 +54,53 @@ def test_an_impossible_folder_is_refused_before_anything_is_generated(
     (line,) = printed.strip().splitlines()
     assert line.endswith(f"src/{command}.py: {message}")
     assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS])
+@pytest.mark.parametrize("file", [None, "outputs/x"])
+def test_an_error_of_a_disk_is_one_line_with_its_meaning(number: int, file: str | None) -> None:
+    error = OSError(number, os.strerror(number), file)
+    assert is_user_error(error)
+    line = explain(error)
+    assert os.strerror(number) in line
+    assert file is None or line.startswith("outputs/x: ")
+    assert ("free some space" in line) == (number in (errno.ENOSPC, errno.EDQUOT))
+
+
+@pytest.mark.parametrize("words", [(), ("-m", "seed=0,1")])
+def test_outputs_without_a_name_are_refused(words: tuple[str, ...]) -> None:
+    printed = run("train", *words, "scenario=collision", "model=copy_b", "size=tiny", "source.outputs=", code=1)
+    assert printed.strip().splitlines()[-1].endswith("train.py: source.outputs= is empty: it names a folder")
+    assert not Path("/collision").exists()
+
+
+def test_messages_of_logs_are_printable(caplog: pytest.LogCaptureFixture) -> None:
+    logging.getLogger("cophy").warning("%s is skipped", "a\x1b[2J\ud800\n")
+    assert caplog.messages == ["a\\x1b[2J\\ud800\n is skipped"]
+
+
+def test_a_full_disk_does_not_disturb_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def refuse(text: str) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    handler = LogFile(str(tmp_path / "run.log"))
+    handler.stream = SimpleNamespace(write=refuse)  # type: ignore[assignment]
+    handler.handle(logging.makeLogRecord({"msg": "lost"}))
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("module", "number"), [("tensorboard.writer", 0), ("other", 1)])
+def test_an_error_of_tensorboards_thread_is_left_to_the_run(
+    module: str, number: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    thread = type("Writer", (threading.Thread,), {"__module__": module})()
+    error = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    print_error_of_thread(threading.ExceptHookArgs((OSError, error, None, thread)))
+    assert capsys.readouterr().err.count("No space left") == number
+
+
+def test_output_replaces_what_a_terminal_cannot_show() -> None:
+    command = [sys.executable, "-c", "import cophy.cli; print('3 \u2192 4 m\u00b2')"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    result = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (result.stdout, result.stderr) == ("3 ? 4 m?\n", "")

@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -273,7 +274,8 @@ def test_proxies_that_are_no_addresses_are_refused(addresses: str) -> None:
         settings("study", f"trusted_proxies='{addresses}'")
 
 
-def test_a_module_of_a_command_is_no_program() -> None:
+def test_a_module_of_a_command_is_no_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "cophy.commands.train", raising=False)  # another test may have imported it
     with pytest.raises(SystemExit, match=r"train\.py is no program: run src/train\.py, or cophy-train"):
         runpy.run_module("cophy.commands.train", run_name="__main__")
 

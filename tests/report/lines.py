@@ -19,7 +19,11 @@ def run(model: str, ablation: str = "full", seed: int = 0, **changes: Any) -> di
 
 
 def measured(metric: str, value: float, *names: str, **changes: Any) -> dict[str, Any]:
-    return run(*names, **changes) | {metric: value, f"{metric}_low": value - 0.01, f"{metric}_high": value + 0.02}
+    return run(*names, **changes) | {
+        f"metrics.{metric}": value,
+        f"low.{metric}": value - 0.01,
+        f"high.{metric}": value + 0.02,
+    }
 
 
 def scores_of_mse(mse: np.ndarray, pair: np.ndarray) -> Scores:

@@ -64,7 +64,7 @@ def test_the_overview_tells_mse_epochs_seeds_and_failures() -> None:
         run("cophynet", split="3to4") | {"error": "broken"},
         run("in", positions="derendered"),
     ]
-    found = overview_tables(pd.DataFrame([line | {"mse": 0.2} for line in lines]))
+    found = overview_tables(pd.DataFrame([line | {"metrics.mse": 0.2} for line in lines]))
     assert list(found) == [
         "blocktower, size small, estimated positions",
         "blocktower, size small, true positions",

@@ -14,7 +14,6 @@ from tests.report.lines import scores_of_mse
 from tests.report.stored_runs import PLACE, content, leave
 
 SCRIPTS = Path(__file__).parents[2] / "benchmarks" / "results"
-CONFIG = "trainer: {max_epochs: 40}\nscenario: {task: {metric_dims: 3}}\nsplit: {epochs_factor: 1}\n"
 
 
 @pytest.fixture
@@ -31,7 +30,7 @@ def test_pairs_of_other_data_are_not_compared_one_by_one(
 ) -> None:
     for split, ids, error in (("3to3", ["3-x"], 1.0), ("3to4", ["3-x", tested_on], 2.0)):
         place = PLACE.parts[0] / Path(split, *PLACE.parts[2:])
-        leave(tmp_path / place, json.dumps(content(split=split, dataset_ids=ids, variant="")), CONFIG, error)
+        leave(tmp_path / place, json.dumps(content(split=split, dataset_ids=ids, variant="")), error=error)
     script.main("cophynet", "3to4", "3to3", tmp_path)
     line = [cell.strip() for cell in capsys.readouterr().out.splitlines()[-1].split("|")]
     assert line[5:9] == [said, "4.000", "1.000", "3.000 [3.000, 3.000]"]
@@ -43,7 +42,7 @@ def test_positions_are_compared_where_they_are_named(
 ) -> None:
     for positions, error in (("ground_truth", 1.0), ("derendered", 2.0)):
         place = PLACE.parents[1] / positions / PLACE.name
-        leave(tmp_path / place, json.dumps(content(positions=positions, variant="")), CONFIG, error)
+        leave(tmp_path / place, json.dumps(content(positions=positions, variant="")), error=error)
     script.main("cophynet@derendered", "cophynet@ground_truth", tmp_path)
     line = [cell.strip() for cell in capsys.readouterr().out.splitlines()[-1].split("|")]
     assert line[-4:-1] == ["4.000", "1.000", "3.000 [3.000, 3.000]"]
@@ -54,7 +53,7 @@ def test_a_run_keeps_the_commit_that_made_it(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table, metrics = tmp_path / "table.csv", tmp_path / PLACE / "metrics.json"
-    leave(metrics.parent, json.dumps(content(variant="")), CONFIG)
+    leave(metrics.parent, json.dumps(content(variant="")))
     for commit, seconds, kept in (("one", 100.0, "one"), ("two", 100.0, "one"), ("three", 90.0, "three")):
         monkeypatch.setattr(script, "committed", lambda name=commit: name)
         metrics.write_text(json.dumps(content(variant="", training_seconds=seconds)))
@@ -89,7 +88,7 @@ def test_a_de_renderer_is_kept_beside_predictors(
         ("oracle_counterfactual", 0.0),
     ):
         place = tmp_path / PLACE.parents[3] / model / PLACE.relative_to(PLACE.parents[2])
-        leave(place, json.dumps(content(model=model, variant="")), CONFIG, error)
+        leave(place, json.dumps(content(model=model, variant="")), error=error)
         if model == "derenderer":
             (place / "predictions.npz").unlink()  # it leaves none
     script.main(tmp_path, tmp_path / "table.csv")

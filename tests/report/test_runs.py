@@ -2,7 +2,10 @@
 
 import json
 import math
+import os
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,11 +14,25 @@ import pytest
 
 from cophy.commands.report import ComposedData
 from cophy.errors import CophyError
+from cophy.report import pipeline
 from cophy.report.overview import summarize_runs
 from cophy.report.predictions import read_stored_predictions
 from cophy.report.runs import comparable_seeds, largest_size, read_runs
 from tests.report.lines import measured, run
 from tests.report.stored_runs import PLACE, content, leave
+
+
+def scenario(name: str, num_slots: int = 3) -> Any:
+    """A scenario with the shapes of the stored predictions."""
+    return SimpleNamespace(
+        clock=SimpleNamespace(num_frames=6), num_slots=num_slots, task=SimpleNamespace(metric_dims=3)
+    )
+
+
+def leave_failure(directory: Path, error: object) -> None:
+    directory.mkdir(parents=True)
+    names = {key: value for key, value in content().items() if isinstance(value, str)} | {"seed": 0}
+    (directory / "failure.json").write_text(json.dumps(names | {"error": error}))
 
 
 def not_checked(scenario: str, size: str) -> None:
@@ -60,7 +77,7 @@ def test_what_was_refused_before_it_began_does_not_count(tmp_path: Path, caplog:
     for seed, begun in enumerate((True, False)):
         directory = tmp_path / PLACE.with_name(f"seed{seed}")
         directory.mkdir(parents=True)
-        names = run("cophynet", seed=seed) | {"variant": "", "error": "boom", "has_begun": begun}
+        names = run("cophynet", seed=seed) | {"variant": "", "error": "ValueError: boom", "has_begun": begun}
         (directory / "failure.json").write_text(json.dumps({**names, "directory": ""}))
     assert read_runs(tmp_path, not_checked)["seed"].tolist() == [0]
     assert "1 run is not in the tables" in caplog.text
@@ -73,7 +90,13 @@ def test_only_runs_in_their_own_place_are_read(tmp_path: Path, caplog: pytest.Lo
     runs = read_runs(tmp_path, not_checked)
     assert list(runs["directory"]) == [tmp_path / PLACE]
     assert "are not where train.py puts them and are not read" in " ".join(caplog.text.split())
-    assert runs.iloc[0][["mse", "mse_low", "mse_high", "epochs", "metric_dims"]].tolist() == [0.2, 0.1, 0.3, 80, 3]
+    assert runs.iloc[0][["metrics.mse", "low.mse", "high.mse", "epochs", "metric_dims"]].tolist() == [
+        0.2,
+        0.1,
+        0.3,
+        80,
+        3,
+    ]
 
 
 def test_runs_with_other_settings_fill_no_table(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -81,11 +104,6 @@ def test_runs_with_other_settings_fill_no_table(tmp_path: Path, caplog: pytest.L
         leave(tmp_path / PLACE.with_name(f"seed0{variant}"), json.dumps(content(variant=variant)))
     assert sorted(read_runs(tmp_path, not_checked)["variant"]) == ["", "+size-tiny+max_epochs-1"]
     assert "(hidden_dim-8): blocktower 3to3 cophynet." in " ".join(caplog.text.split())
-
-
-def test_metrics_json_with_all_facts_needs_no_configuration(tmp_path: Path) -> None:
-    leave(tmp_path / PLACE, json.dumps(content(metric_dims=2, max_epochs=20)), "unread: [")
-    assert read_runs(tmp_path, not_checked).iloc[0][["epochs", "metric_dims"]].tolist() == [20, 2]
 
 
 @pytest.mark.parametrize("fault", [AttributeError, KeyError, TypeError, ValueError])
@@ -128,6 +146,17 @@ INVALID = {
     "half an interval": json.dumps(content(intervals={"mse": [0.1]})),
     "no metrics": json.dumps(content(metrics=None)),
     "a path for a name": json.dumps(content(model="../../cophynet")),
+    "no MSE": json.dumps(
+        content(metrics={"final_position_error": 0.2}, intervals={"final_position_error": [0.1, 0.3]})
+    ),
+    "a huge count": json.dumps(content(num_test=10**299)),
+    "a number beyond floats": json.dumps(content(metrics={"mse": 10**400})),
+    "no count": json.dumps(content(num_train=True)),
+    "deep": "[" * 100_000,
+    "a formula": json.dumps(content(metrics={"mse": 0.2, "=1+1": 1.0})),
+    "HTML": json.dumps(content(size="<script>")),
+    "a lone surrogate": json.dumps(content(derenderer="\ud800")),
+    "lists for names": json.dumps(content(dataset_ids=[["3-x"]])),
 }
 
 
@@ -136,22 +165,21 @@ def test_an_invalid_run_is_named_and_skipped(tmp_path: Path, metrics: str, caplo
     leave(tmp_path / PLACE, metrics)
     leave(tmp_path / PLACE.with_name("seed1"), json.dumps(content(seed=1)))
     assert read_runs(tmp_path, not_checked)["seed"].tolist() == [1]
-    assert f"{PLACE}/metrics.json" in caplog.text
-
-
-@pytest.mark.parametrize("config", ["trainer: {}", ": : :"])
-def test_without_the_facts_that_the_report_needs_a_run_is_named(
-    tmp_path: Path, config: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    leave(tmp_path / PLACE, json.dumps(content()), config)
-    assert read_runs(tmp_path, not_checked).empty
-    assert "run the same command again" in caplog.text
+    assert f"{PLACE} is skipped: metrics.json" in caplog.text
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{"position": np.full((4, 5, 3, 3), np.nan, "f4")}, {"pair": np.zeros(3)}, {"position": np.array([print])}, None],
-    ids=["NaN", "shape", "pickled", "missing"],
+    [
+        {"position": np.full((4, 5, 3, 3), np.nan, "f4")},
+        {"position": np.full((4, 5, 3, 3), 1e30)},
+        {"position": np.zeros((4, 5, 3, 3), np.longdouble)},
+        {"presence": np.zeros((4, 3), bool)},
+        {"pair": np.zeros(3)},
+        {"position": np.array([print])},
+        None,
+    ],
+    ids=["NaN", "huge", "long double", "nobody", "shape", "pickled", "missing"],
 )
 def test_damaged_predictions_are_named_and_their_run_skipped(
     tmp_path: Path, changes: dict[str, Any] | None, caplog: pytest.LogCaptureFixture
@@ -163,8 +191,59 @@ def test_damaged_predictions_are_named_and_their_run_skipped(
     path.unlink()
     if changes is not None:
         np.savez_compressed(path, **(arrays | changes))
-    assert read_stored_predictions(read_runs(tmp_path, not_checked)) == {}
+    assert read_stored_predictions(read_runs(tmp_path, not_checked), scenario) == {}
     assert "predictions.npz is missing or damaged" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("facts", "slots", "message"),
+    [
+        ({}, 3, ""),
+        ({}, 4, "test experiments"),
+        ({"num_test": 5}, 3, "test experiments"),
+        ({"metrics": {"mse": 0.2}}, 3, "0.2"),
+    ],
+)
+def test_predictions_are_those_of_the_metrics(
+    facts: dict[str, Any], slots: int, message: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    leave(tmp_path / PLACE, json.dumps(content(**({"metrics": {"mse": 1.0}} | facts))), error=1.0)
+    stored = read_stored_predictions(read_runs(tmp_path, not_checked), lambda name: scenario(name, slots))
+    assert list(stored) == ([] if message else [tmp_path / PLACE])
+    assert message in caplog.text
+
+
+@pytest.mark.parametrize("name", ["error", "has_begun", "derenderer", "epochs", "directory", "mse_low", "metrics.mse"])
+def test_a_metric_of_any_name_is_taken_for_nothing_else(name: str, tmp_path: Path) -> None:
+    leave(
+        tmp_path / PLACE, json.dumps(content(metrics={"mse": 0.2, name: 7.0}, intervals={"mse": [0, 1], name: [6, 8]}))
+    )
+    runs = read_runs(tmp_path, not_checked)
+    assert runs["error"].isna().all()
+    assert runs.iloc[0][["metrics.mse", "low.mse", f"metrics.{name}", f"low.{name}"]].tolist() == [0.2, 0, 7, 6]
+    assert summarize_runs(runs)["mse"].tolist() == ["0.200"]
+
+
+@pytest.mark.parametrize("error", ["=cmd|'/c calc'!A0", 3, None])
+def test_a_failure_that_train_py_did_not_write_is_skipped(error: object, tmp_path: Path) -> None:
+    leave_failure(tmp_path / PLACE, error)
+    assert read_runs(tmp_path, not_checked).empty
+
+
+def test_the_error_of_a_failed_run_is_one_line_that_any_medium_shows(tmp_path: Path) -> None:
+    leave_failure(tmp_path / PLACE, "ValueError: \x1b]0;title\x07\x1b[2J a\nb \ud800")
+    (error,) = read_runs(tmp_path, not_checked)["error"]
+    assert error == r"ValueError: \x1b]0;title\x07\x1b[2J a b \ud800"
+
+
+@pytest.mark.parametrize(
+    "replace", [lambda path: os.mkfifo(path), lambda path: path.symlink_to("/dev/zero"), Path.mkdir]
+)
+def test_what_is_no_regular_file_is_skipped(replace: Callable[[Path], None], tmp_path: Path) -> None:
+    leave(tmp_path / PLACE, "{}")
+    (tmp_path / PLACE / "metrics.json").unlink()
+    replace(tmp_path / PLACE / "metrics.json")
+    assert read_runs(tmp_path, not_checked).attrs["unused"] == 1
 
 
 def test_what_cannot_be_read_is_counted(tmp_path: Path) -> None:
@@ -173,3 +252,18 @@ def test_what_cannot_be_read_is_counted(tmp_path: Path) -> None:
     broken.parent.mkdir(parents=True)
     broken.write_text("{}")
     assert read_runs(tmp_path, not_checked).attrs["unused"] == 1
+
+
+def test_tables_are_written_before_they_are_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_failure(tmp_path / PLACE, "ValueError: boom")
+
+    def refuse(report: pipeline.Report) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(pipeline.Report, "show", refuse)
+    unused: Any = None
+    with pytest.raises(BrokenPipeError):
+        pipeline.write_report(
+            tmp_path, tmp_path / "report", pipeline.Configurations(unused, unused, None, not_checked), show_all=False
+        )
+    assert "ValueError: boom" in (tmp_path / "report" / "runs.csv").read_text()

@@ -12,6 +12,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from cophy.cli import explain
 from cophy.errors import CophyError
 from cophy.training.predictor import prediction_arrays
 from cophy.training.run import Results, Run, differences, plain_value, read_predictions, write_predictions
@@ -105,8 +106,9 @@ def test_damaged_results_are_named_and_kept(run: Run, text: str) -> None:
 
 
 def test_a_full_disk_is_named_with_what_is_safe(run: Run) -> None:
-    with pytest.raises(CophyError, match=f"no space left for {run.directory}: finished runs.* are safe"), run.locked():
+    with pytest.raises(OSError, match=f"No space left on device: '{run.directory}'") as caught, run.locked():
         raise OSError(errno.ENOSPC, "No space left on device")
+    assert "No space left on device; finished runs, shards and last checkpoints are safe" in explain(caught.value)
     assert "No space left" in (run.directory / "failure.json").read_text()
 
 
