@@ -13,6 +13,7 @@ from uuid import uuid4
 
 MACHINE = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 ABANDONED_S = 86400  # ours: a temporary file of another machine is abandoned after a day without a write
+MAX_PLAIN = 64 << 20  # bytes; ours: manifests and lists have less than one megabyte
 FULL = 1 << 20  # bytes; ours: with less free space, files count as not written
 
 
@@ -23,13 +24,15 @@ def check_space(path: Path) -> None:
 
 
 def read_plain(path: Path) -> bytes:
-    """Return the content of a file.
+    """Return the content of a small file.
 
     Raises:
-        OSError: It does not exist or is not a regular file: opening a pipe would block forever.
+        OSError: It does not exist, is larger than MAX_PLAIN or is not a regular file: opening a pipe would block forever.
     """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+    if path.stat().st_size > MAX_PLAIN:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     return path.read_bytes()
 
 
