@@ -171,6 +171,13 @@ def test_an_unfinished_dataset_is_not_loaded(tmp_path: Path) -> None:
         States(SPEC, tmp_path).load()
 
 
+@pytest.mark.parametrize("name", [MANIFEST, "shard-00001.h5"])
+def test_a_huge_file_is_named_at_once(finished: Path, tmp_path: Path, name: str) -> None:
+    os.truncate(copy(finished, tmp_path) / name, 2**40)  # a sparse file
+    with pytest.raises((CophyError, OSError), match=rf"File too large: .*{name}|{name} is damaged \(it has more than"):
+        States(SPEC, tmp_path).load()
+
+
 CHUNKED = {
     "rgb": Field((4, 8, 8), "|u1", storage={"chunks": (1, 8, 8), "fletcher32": True, **hdf5plugin.Zstd(clevel=3)}),
     "states": Field((4, 64), "<f4", storage={"chunks": (1, 64), "compression": "gzip", "compression_opts": 1}),

@@ -429,8 +429,12 @@ class ShardSet(ABC):
             ) from error
 
     def _compare(self, shard: int, checksum: str | None) -> None:
-        check_plain(self.path(shard))
-        if checksum is not None and sha256(self.path(shard)) != checksum:
+        path, arrays = self.path(shard), self.fields(shard).values()
+        check_plain(path)
+        most = 2 * sum(math.prod(each.shape) * np.dtype(each.dtype).itemsize for each in arrays) + (1 << 20)
+        if path.stat().st_size > most:  # ours: twice what its arrays have, and room for what describes them
+            raise DamagedShardError(f"it has more than {most} bytes")
+        if checksum is not None and sha256(path) != checksum:
             raise DamagedShardError(f"its checksum is not the one in {MANIFEST}")
 
     def _verified(self, shard: int, checksum: str) -> Arrays:
