@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -148,6 +149,12 @@ def test_arrays_of_another_shape_or_type_are_named(name: str, tmp_path: Path) ->
     leave(tmp_path, "{}")
     write_predictions(tmp_path, read_predictions(tmp_path) | {name: WRONG[name]})
     with pytest.raises(CophyError, match=rf"predictions\.npz is missing or damaged \(.* {name}\)"):
+        read_predictions(tmp_path)
+
+
+def test_a_pipe_is_no_file_of_predictions(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "predictions.npz")
+    with pytest.raises(CophyError, match="not a regular file"):
         read_predictions(tmp_path)
 
 
