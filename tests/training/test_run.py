@@ -162,6 +162,12 @@ def test_arrays_of_another_shape_or_type_are_named(name: str, tmp_path: Path) ->
         read_predictions(tmp_path)
 
 
+def test_a_pipe_is_no_file_of_predictions(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "predictions.npz")
+    with pytest.raises(CophyError, match="not a regular file"):
+        read_predictions(tmp_path)
+
+
 def test_predictions_that_may_not_be_read_are_not_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(path: Path, *args: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied", str(path))

@@ -251,6 +251,8 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
     """
     path = directory / PREDICTIONS
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("it is not a regular file")  # opening a pipe would block forever
         with path.open("rb") as stream, ZipFile(stream) as archive:
             if sum(member.file_size for member in archive.infolist()) > MAX_ARRAY_BYTES:
                 raise ValueError(f"more than {MAX_ARRAY_BYTES} bytes of arrays")
