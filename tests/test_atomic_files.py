@@ -1,6 +1,5 @@
 """Files that are written whole or not at all."""
 
-import errno
 import os
 import shutil
 import subprocess
@@ -50,14 +49,3 @@ def test_a_full_disk_is_named_although_the_writer_reports_nothing(
         temporary.write_bytes(b"half")
     assert raised.value.filename == str(tmp_path / "clip.mp4")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_disk_that_is_full_when_hdf5_closes_a_file_is_named(tmp_path: Path) -> None:
-    text = (
-        "Can't decrement id ref count (file write failed: filename = 'x', errno = 28, error message = 'No space left')"
-    )
-    with pytest.raises(OSError, match="No space left") as raised, appearing_whole(tmp_path / "shard.h5"):
-        raise RuntimeError(text)
-    assert raised.value.errno == errno.ENOSPC
-    with pytest.raises(RuntimeError, match="no write intent"), appearing_whole(tmp_path / "shard.h5"):
-        raise RuntimeError("no write intent on file")

@@ -12,6 +12,7 @@ PACKAGE = ROOT / "src" / "cophy"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 BASE = {
     "errors",
+    "locks",
     "atomic_files",
     "bootstrap",
     "scoring",

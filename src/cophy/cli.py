@@ -47,6 +47,8 @@ class LogFile(logging.FileHandler):
 
     def __init__(self, filename: str) -> None:
         super().__init__(filename, encoding="utf-8", delay=True)
+        if not Path(filename).parent.is_dir():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), filename)
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 (a method of logging.Handler)
         """Leave a full disk to the files that matter; they are named if they cannot be written."""

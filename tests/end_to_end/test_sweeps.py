@@ -60,6 +60,6 @@ def test_a_disk_that_is_full_before_a_run_begins_is_named(
     monkeypatch.setattr("hydra.core.utils._save_config", full)
     sweep = ("-m", "scenario=collision", "+row=copy_b", "seed=0,1", f"hydra.sweep.dir={tmp_path}")
     printed = train(*sweep, data=tiny_data, code=1)
-    assert "no space left" in printed
+    assert "No space left on device" in printed
     assert "run the same command to continue" in printed
     assert "Traceback" not in printed
