@@ -41,11 +41,11 @@ ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_veloci
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
 SEEDS, DATA_SEEDS = (0, 1, 2), (0, 1)
 DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
-COST = {  # CPU-seconds per experiment, measured, and kB
+COST = {  # CPU-seconds and kB per experiment: measured for towers of 3, balls of 4 and collisions, else estimated
     ("blocktower", 3): (0.22, 23), ("blocktower", 4): (0.45, 33), ("balls", 2): (0.6, 20), ("balls", 3): (0.15, 24),
     ("balls", 4): (0.14, 29), ("balls", 5): (0.15, 34), ("balls", 6): (0.2, 40), ("collision", 2): (0.04, 10),
 }  # fmt: skip
-AUDIT_HOURS, ORACLE_HOURS = 0.05, 0.25  # measured; for oracles on 100 experiments
+AUDIT_HOURS, ORACLE_HOURS = 0.05, 0.25  # estimated from docs/benchmark: minutes per audit, an hour per 400 experiments
 ORACLE_EXPERIMENTS = 100  # ours: a quarter of the test split of size=small
 
 
@@ -53,7 +53,6 @@ ORACLE_EXPERIMENTS = 100  # ours: a quarter of the test split of size=small
 class Job:
     """A command, the file that says that it is finished, and what is known of its cost."""
 
-    part: str
     scenario: str
     command: list[str]
     finished: Path
@@ -89,16 +88,14 @@ def data_jobs(size: str) -> Iterator[Job]:
                 (states,) = generated_by(settings("generate", *keys))
                 seconds, kilobytes = (value * states.spec.num_experiments for value in COST[scenario, count])
                 command = ["generate", *keys, "workers=1"]
-                yield Job(
-                    "data", scenario, command, states.directory / "manifest.json", seconds / 3600, kilobytes / 1000
-                )
+                yield Job(scenario, command, states.directory / "manifest.json", seconds / 3600, kilobytes / 1000)
 
 
 def audit_jobs(size: str) -> Iterator[Job]:
     """Audits of all datasets."""
     for job in data_jobs(size):
         page = Path("outputs/audit", job.scenario, job.finished.parent.name, "audit.md")
-        yield Job("audit", job.scenario, ["audit", *job.command[1:-1]], page, AUDIT_HOURS)
+        yield Job(job.scenario, ["audit", *job.command[1:-1]], page, AUDIT_HOURS)
 
 
 def headline_jobs(size: str) -> Iterator[Job]:
@@ -109,7 +106,7 @@ def headline_jobs(size: str) -> Iterator[Job]:
             rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]
             for row in [*rows, *ONCE] if seed == 0 and split == splits[0] else rows:
                 if row != "replay" or scenario == "collision":
-                    job, names = run_job("headline", scenario, split, row, size, seed, data_seed), methods()[row].keys()
+                    job, names = run_job(scenario, split, row, size, seed, data_seed), methods()[row].keys()
                     yield replace(job, hours=hours.get((scenario, names["model"], names["ablation"]), float("nan")))
 
 
@@ -117,12 +114,11 @@ def oracle_jobs(size: str) -> Iterator[Job]:
     """Oracles and noise floors on the default splits; the first of a dataset simulates for all."""
     for row, data_seed, (scenario, splits) in product(SIMULATED, DATA_SEEDS, HEADLINE.items()):
         changes = {"max_experiments": ORACLE_EXPERIMENTS}
-        job = run_job("oracles", scenario, splits[0], row, size, 0, data_seed, changes)
+        job = run_job(scenario, splits[0], row, size, 0, data_seed, changes)
         yield replace(job, hours=ORACLE_HOURS if row == ORACLES[0] else 0.01)
 
 
 def run_job(
-    part: str,
     scenario: str,
     split: str,
     row: str,
@@ -141,7 +137,7 @@ def run_job(
     command = ["train", f"scenario={scenario}", f"split={split}", f"+row={row}", f"size={size}", f"seed={seed}"]
     command += [f"data_seed={data_seed}", *(f"model.{key}={value}" for key, value in (changes or {}).items())]
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
-    return Job(part, scenario, command, Path("outputs", place, METRICS))
+    return Job(scenario, command, Path("outputs", place, METRICS))
 
 
 PARTS = {"data": data_jobs, "audit": audit_jobs, "headline": headline_jobs, "oracles": oracle_jobs}

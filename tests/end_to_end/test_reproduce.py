@@ -18,6 +18,6 @@ def test_a_finished_job_is_where_the_plan_looks_for_it(
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     monkeypatch.chdir(tmp_path)
     reproduce = importlib.import_module("reproduce")
-    job = reproduce.run_job("headline", "collision", "all", row, "tiny", 2, 1, changes)
+    job = reproduce.run_job("collision", "all", row, "tiny", 2, 1, changes)
     assert reproduce.run_all([job], workers=1) == []
     assert job.finished.exists()

@@ -112,7 +112,7 @@ class Connection(H11Protocol):
         self.deadline.cancel()
 
     def _renew(self) -> None:
-        """Set the deadline anew. Parts of a request do not, so that a slow one ends, too."""
+        """Start the deadline again. Further bytes of the same request do not, so a slow request ends, too."""
         self.deadline.cancel()
         self.deadline = self.loop.call_later(REQUEST_S, self.transport.abort)
 
