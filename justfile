@@ -3,9 +3,14 @@ bin := ".venv/bin"
 
 # "$@" passes arguments to a command unchanged, quoted or not
 set positional-arguments
-torch := "torch==2.13.0" # not in the lock file, since its builds have different hashes; one that is there already is kept
-# the lock file is for Python 3.11; other versions install what pyproject.toml allows
-packages := if python =~ "python3.11$" { "--no-deps --require-hashes -r requirements.lock" } else { torch + " -e '.[dev,docs]'" }
+pip := bin / "pip install --quiet"
+torch := "torch==2.13.0" # not in the lock files, since its builds have different hashes; one that is there already is kept
+uv := "uv==0.13.9"
+# the lock files are for Python 3.11; other versions install what pyproject.toml allows
+is_locked := if python =~ "python3.11$" { "true" } else { "false" }
+locked := "--no-deps --require-hashes -r"
+packages := if is_locked == "true" { locked + " requirements.lock" } else { torch + " -e '.[dev]'" }
+docs_packages := if is_locked == "true" { locked + " requirements-docs.lock" } else { "-e '.[docs]'" }
 
 demo := "+table=collision split=all hydra.sweep.dir=outputs/demo"
 
@@ -13,16 +18,28 @@ demo := "+table=collision split=all hydra.sweep.dir=outputs/demo"
 default:
     @just --list
 
-# create .venv with the locked packages (again only when the lock file changes)
+# create .venv with what running and testing need (again only when the lock file changes)
 setup:
-    @cmp -s requirements.lock .venv/requirements.lock || ({{python}} -m venv .venv && {{bin}}/pip install {{packages}} && {{bin}}/pip install {{torch}} && {{bin}}/pip install --no-deps --no-build-isolation -e . && cp requirements.lock .venv/)
+    @cmp -s requirements.lock .venv/requirements.lock || {{just_executable()}} install
 
-# write the hashes of requirements.lock, after a version in it was changed
-lock:
-    {{bin}}/uv pip compile --quiet --upgrade --no-deps --generate-hashes --no-annotate --custom-compile-command "just lock" requirements.lock -o requirements.lock
+[private]
+install:
+    @echo "installing $(grep -c == requirements.lock) packages in .venv: 2.1 GB, a few minutes"
+    @{{python}} -m venv .venv
+    @{{pip}} {{packages}}
+    @echo "installing torch and this checkout"
+    @{{pip}} {{torch}}
+    @{{pip}} --no-deps --no-build-isolation -e .
+    @cp requirements.lock .venv/
+
+# write the hashes of the lock files, after a version in one was changed
+lock: setup
+    {{pip}} {{uv}}
+    for lock in requirements*.lock; do {{bin}}/uv pip compile --quiet --upgrade --no-deps --generate-hashes --no-annotate --custom-compile-command "just lock" $lock -o $lock; done
 
 # write sbom.json, a CycloneDX list of the installed packages
 sbom: setup
+    {{pip}} {{uv}}
     {{bin}}/uvx --from cyclonedx-bom==7.5.0 cyclonedx-py environment .venv --output-file sbom.json
 
 # draw collisions, train and test five models on them, and report tables and figures (minutes on two cores)
@@ -39,6 +56,7 @@ test *args: setup
 
 # run the slow tests too; those with a browser need Debian's chromium
 test-slow *args: setup
+    @cmp -s requirements-slow.lock .venv/requirements-slow.lock || ({{pip}} {{locked}} requirements-slow.lock && cp requirements-slow.lock .venv/)
     {{bin}}/pytest -m 'not cluster' "$@"
 
 # run the tests on a SLURM cluster of one node; needs Debian's slurmctld slurmd slurm-client
@@ -51,6 +69,7 @@ check: setup
 
 # write the tables of the docs from results.csv and build docs/_build/html; a broken link or a failing cell of the tutorial is an error
 docs: setup
+    @cmp -s requirements-docs.lock .venv/requirements-docs.lock || ({{pip}} {{docs_packages}} && cp requirements-docs.lock .venv/)
     {{bin}}/python docs/generate.py
     {{bin}}/python -m sphinx --quiet --fail-on-warning --keep-going --jobs auto -d docs/_build/doctrees docs docs/_build/html
     @echo "docs/_build/html/index.html"

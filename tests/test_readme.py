@@ -120,7 +120,11 @@ def test_the_readme_reads_data_from_python(tiny_data: Path, tmp_path: Path) -> N
 
 
 def test_locked_packages_have_hashes_and_tools_have_versions() -> None:
-    requirements = (ROOT / "requirements.lock").read_text().replace("\\\n", "").splitlines()
-    assert [line for line in requirements if not re.match(r"#|\S+==\S+ +--hash=sha256:[0-9a-f]{64}", line)] == []
+    locks = [path.read_text().replace("\\\n", "").splitlines() for path in sorted(ROOT.glob("requirements*.lock"))]
+    requirements = [line for lines in locks for line in lines if not line.startswith("#")]
+    assert [line for line in requirements if not re.match(r"\S+==\S+ +--hash=sha256:[0-9a-f]{64}", line)] == []
+    names = [line.partition("==")[0] for line in requirements]
+    assert len(locks) == 3
+    assert sorted(set(names)) == sorted(names)  # each package is locked once
     texts = [path.read_text() for path in (*PAGES, ROOT / ".ci" / "run")]
     assert [text for text in texts if re.search(r"rust-just(?!==\d)", text)] == []

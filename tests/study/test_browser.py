@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 import uvicorn
+
+pytest.importorskip("playwright", reason="not installed: just test-slow installs it")
 from playwright.sync_api import Page, Route, ViewportSize, sync_playwright
 
 from cophy.config import settings
