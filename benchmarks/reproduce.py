@@ -2,7 +2,7 @@
 
 Parts: data (datasets), audit, headline (rows of the headline table: three training seeds on two datasets), oracles. All by default.
 Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side. What is finished is skipped, and
-what was interrupted continues. Logs: outputs/reproduce. Afterwards, keep_results.py and docs/generate.py write the tables.
+what was interrupted continues. Logs: reproduce/ in the folder of outputs. Afterwards, keep_results.py and docs/generate.py write the tables.
 """
 
 import os
@@ -20,14 +20,16 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from cophy.config import generated_by, settings
+from cophy.config import folder, generated_by, settings
+from cophy.oracles.forecasts import SECONDS_PER_EXPERIMENT
 from cophy.report.paper_tables import methods
 from cophy.schemas import register
 from cophy.training.run import METRICS, Run
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "results.csv"
-LOGS = Path("outputs/reproduce")
+OUTPUTS = Path(folder("COPHY_OUTPUTS"))
+LOGS = OUTPUTS / "reproduce"
 HEADLINE = {
     "blocktower": ["3to3"],
     "balls": ["4to4"],
@@ -41,12 +43,9 @@ ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_veloci
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
 SEEDS, DATA_SEEDS = (0, 1, 2), (0, 1)
 DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
-COST = {  # CPU-seconds and kB per experiment: measured for towers of 3, balls of 4 and collisions, else estimated
-    ("blocktower", 3): (0.22, 23), ("blocktower", 4): (0.45, 33), ("balls", 2): (0.6, 20), ("balls", 3): (0.15, 24),
-    ("balls", 4): (0.14, 29), ("balls", 5): (0.15, 34), ("balls", 6): (0.2, 40), ("collision", 2): (0.04, 10),
-}  # fmt: skip
-AUDIT_HOURS, ORACLE_HOURS = 0.05, 0.25  # estimated from docs/benchmark: minutes per audit, an hour per 400 experiments
+AUDIT_HOURS = 0.05  # estimated
 ORACLE_EXPERIMENTS = 100  # ours: a quarter of the test split of size=small
+ORACLE_HOURS = ORACLE_EXPERIMENTS * SECONDS_PER_EXPERIMENT / 3600
 
 
 @dataclass
@@ -86,15 +85,15 @@ def data_jobs(size: str) -> Iterator[Job]:
             if seed == 0 or count in headline:
                 keys = [f"scenario={scenario}", f"num_objects=[{count}]", f"size={size}", f"data_seed={seed}"]
                 (states,) = generated_by(settings("generate", *keys))
-                seconds, kilobytes = (value * states.spec.num_experiments for value in COST[scenario, count])
+                seconds, megabytes = states.cost(states.spec.num_experiments)
                 command = ["generate", *keys, "workers=1"]
-                yield Job(scenario, command, states.directory / "manifest.json", seconds / 3600, kilobytes / 1000)
+                yield Job(scenario, command, states.directory / "manifest.json", seconds / 3600, megabytes)
 
 
 def audit_jobs(size: str) -> Iterator[Job]:
     """Audits of all datasets."""
     for job in data_jobs(size):
-        page = Path("outputs/audit", job.scenario, job.finished.parent.name, "audit.md")
+        page = Path(OUTPUTS, "audit", job.scenario, job.finished.parent.name, "audit.md")
         yield Job(job.scenario, ["audit", *job.command[1:-1]], page, AUDIT_HOURS)
 
 
@@ -137,7 +136,7 @@ def run_job(
     command = ["train", f"scenario={scenario}", f"split={split}", f"+row={row}", f"size={size}", f"seed={seed}"]
     command += [f"data_seed={data_seed}", *(f"model.{key}={value}" for key, value in (changes or {}).items())]
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
-    return Job(scenario, command, Path("outputs", place, METRICS))
+    return Job(scenario, command, OUTPUTS / place / METRICS)
 
 
 PARTS = {"data": data_jobs, "audit": audit_jobs, "headline": headline_jobs, "oracles": oracle_jobs}

@@ -12,6 +12,7 @@ from measure import ROOT, Measured
 from speed_startup import cpu_seconds_of
 
 from cophy.commands.report import ComposedData
+from cophy.config import folder
 from cophy.scenario import Scenario
 from cophy.training.run import METRICS, Run, write_predictions
 
@@ -33,7 +34,7 @@ def measure() -> list[Measured]:
 
 def write_runs(outputs: Path) -> None:
     """Write metrics.json and predictions.npz of all runs in docs/results."""
-    data = ComposedData("generated", Path("data"))
+    data = ComposedData("generated", Path(folder("COPHY_DATA")))
     runs = pd.concat(
         [pd.read_csv(ROOT / "docs" / "results" / f"{name}.csv") for name in ("results", "format_3", "superseded")]
     )

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
+import yaml
 from result_claims import claims
 from result_listings import checkpoints, column_meanings
 from result_runs import (
@@ -34,10 +35,13 @@ from result_runs import (
     title,
 )
 
+from cophy.dataset.images import RENDERING
+from cophy.dataset.states import COST
 from cophy.report.paper_tables import ESTIMATED_IN_TESTING, PaperTable, paper_tables
 
 BLOCK = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end of generated: \1 -->", re.DOTALL)
 NOTHING = "–"
+SIZES = ("small", "paper")
 PREDICTED = (*COPIES, *LEARNED, "alongside_noisy", "cophynet_feedforward", "in_sup", *ORACLES)
 FORMAT_4 = ROOT / "docs" / "results" / "results.csv"
 HEADLINES = [
@@ -146,7 +150,32 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "format_4": partial(headlines, format_4),
         "checkpoints": partial(checkpoints, format_4),
         "columns": column_meanings,
+        "data_costs": data_costs,
+        "rendering": rendering,
     }
+
+
+def data_costs() -> str:
+    """Experiments of each dataset, and what those of size=paper cost."""
+    sizes = [yaml.safe_load((ROOT / "conf/size" / f"{name}.yaml").read_text())["num_experiments"] for name in SIZES]
+    counts = {key: [size[key[0]][str(key[1])] for size in sizes] for key in COST}
+    rows = []
+    for key in COST:
+        (scenario, objects), (small, paper), (seconds, kilobytes) = key, counts[key], COST[key]
+        name = f"{SCENARIOS[scenario].lower()}{f' of {objects}' if scenario != 'collision' else ''}"
+        rows.append([name, f"{small:,}", f"{paper:,}", paper * seconds / 60, paper * kilobytes / 1e6])
+    total = ["all", *(f"{sum(column):,}" for column in zip(*counts.values(), strict=True))]
+    rows.append([*total, *(sum(row[place] for row in rows) for place in (3, 4))])
+    lines = [[*names, f"{minutes:.0f}", f"{gigabytes:.1f}"] for *names, minutes, gigabytes in rows]
+    return markdown(["dataset", *SIZES, "CPU minutes", "GB"], lines)
+
+
+def rendering() -> str:
+    """Frames per second by resolution, and disk space."""
+    rates = [rates for rates, _ in RENDERING.values()]
+    rows = [[f"{edge} × {edge}", *(str(rate[edge]) for rate in rates)] for edge in rates[0]]
+    rows.append(["MB per experiment, 448 × 448", *(f"{megabytes}" for _, megabytes in RENDERING.values())])
+    return markdown(["", *(SCENARIOS[name].lower() for name in RENDERING)], rows)
 
 
 def leaderboard(results: Results, scenario: str, given_more: tuple[str, ...] = GIVEN_MORE, **names: str) -> str:

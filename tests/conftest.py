@@ -14,7 +14,7 @@ from unittest import mock
 import pytest
 import torch
 
-from cophy.config import settings
+from cophy.config import FOLDERS, settings
 from cophy.dataset import generation
 from cophy.dataset.features import confounder_features, to_batch
 from cophy.dataset.spec import DatasetSpec
@@ -27,6 +27,8 @@ from cophy.types import Batch
 ROOT = Path(__file__).parents[1]
 SCENARIOS = {"blocktower": 3, "balls": 4, "collision": 2}  # with the number of objects of its default split
 
+for variable in FOLDERS:
+    os.environ.pop(variable, None)
 register(models=True)
 torch.set_num_threads(1)
 

@@ -2,7 +2,10 @@
 
 import multiprocessing
 import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -30,3 +33,24 @@ def test_a_killed_worker_is_named_with_a_remedy() -> None:
     message = r"a worker process was killed.* Run again with fewer workers="
     with pytest.raises(CophyError, match=message), worker_pool(1) as pool:
         pool.submit(os._exit, 9).result()
+
+
+SCRIPT = """
+import sys
+print("begins", __name__)
+from cophy.workers import worker_pool
+with worker_pool(2) as pool:
+    print(list(pool.map(abs, [-1, -2])))
+"""
+
+
+@pytest.mark.parametrize("way", ["script", "-c", "standard input", "module"])
+def test_workers_do_not_run_the_main_module_again(way: str, tmp_path: Path) -> None:
+    """A script needs no guard, and standard input, which no process can import, works."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    words = {"script": ["script.py"], "-c": ["-c", SCRIPT], "standard input": ["-"], "module": ["-m", "script"]}[way]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, *words], cwd=tmp_path, env=environment, input=SCRIPT, capture_output=True, text=True, timeout=300
+    )
+    assert done.stdout == "begins __main__\n[1, 2]\n", done.stderr

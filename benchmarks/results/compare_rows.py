@@ -13,6 +13,7 @@ from pathlib import Path
 import pandas as pd
 
 from cophy.bootstrap import interval
+from cophy.config import folder
 from cophy.report.predictions import stored_scores
 from cophy.report.runs import read_line
 from cophy.scoring import average, compare, have_same_experiments
@@ -73,5 +74,5 @@ if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("ours", help="a model, and what a run changes beyond it")
     parser.add_argument("other", help="likewise")
-    parser.add_argument("outputs", nargs="?", type=Path, default=Path("outputs"), help="where runs are kept")
+    parser.add_argument("outputs", nargs="?", type=Path, default=Path(folder("COPHY_OUTPUTS")), help="where runs are kept")
     main(**vars(parser.parse_args()))

@@ -17,6 +17,7 @@ from compare_rows import run_of
 from scipy.stats import bootstrap
 
 from cophy.bootstrap import NUM_RESAMPLES
+from cophy.config import folder
 from cophy.report.predictions import stored_scores
 from cophy.training.run import METRICS
 
@@ -86,5 +87,5 @@ if __name__ == "__main__":
     parser.add_argument("row", help="a model, and what a run changes beyond it")
     parser.add_argument("split", help="or splits, joined by +")
     parser.add_argument("other", help="likewise")
-    parser.add_argument("outputs", nargs="?", type=Path, default=Path("outputs"), help="where runs are kept")
+    parser.add_argument("outputs", nargs="?", type=Path, default=Path(folder("COPHY_OUTPUTS")), help="where runs are kept")
     main(**vars(parser.parse_args()))

@@ -26,7 +26,7 @@ from sklearn.preprocessing import StandardScaler
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from cophy.config import settings
+from cophy.config import folder, settings
 from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.dataset.source import generated_sets
 from cophy.schemas import SCENARIOS, register
@@ -145,5 +145,5 @@ def _classifier(kind: str) -> ClassifierMixin:
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path, help="folder of a trained CoPhyNet")
-    parser.add_argument("data_dir", nargs="?", type=Path, default=Path("data"), help="where the dataset lies")
+    parser.add_argument("data_dir", nargs="?", type=Path, default=Path(folder("COPHY_DATA")), help="where the dataset lies")
     main(**vars(parser.parse_args()))

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from cophy.atomic_files import write_atomically
+from cophy.config import folder
 from cophy.report.predictions import stored_scores
 from cophy.report.runs import read_line
 from cophy.report.tables import share_of_gain
@@ -98,6 +99,6 @@ def as_text(value: object) -> str:
 
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("outputs", nargs="?", type=Path, default=Path("outputs"), help="where runs are kept")
+    parser.add_argument("outputs", nargs="?", type=Path, default=Path(folder("COPHY_OUTPUTS")), help="where runs are kept")
     parser.add_argument("table", nargs="?", type=Path, default=TABLE, help="the table that they are added to")
     main(**vars(parser.parse_args()))

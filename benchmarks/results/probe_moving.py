@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cophy.bootstrap import interval, mean
-from cophy.config import settings
+from cophy.config import folder, settings
 from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.dataset.source import generated_sets
 from cophy.schemas import SCENARIOS, register
@@ -67,5 +67,5 @@ def percent(low: float, high: float) -> str:
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint", type=Path, help="of a CoPhyNet that was trained on collisions")
-    parser.add_argument("data_dir", nargs="?", type=Path, default=Path("data"), help="where the dataset lies")
+    parser.add_argument("data_dir", nargs="?", type=Path, default=Path(folder("COPHY_DATA")), help="where the dataset lies")
     main(**vars(parser.parse_args()))

@@ -11,6 +11,7 @@ import logging
 import os
 import re
 import shutil
+import signal
 import sys
 import threading
 import warnings
@@ -127,6 +128,14 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
             _outputs.clear()
             try:
                 main()
+                sys.stdout.flush()
+            except BrokenPipeError:
+                try:
+                    sys.stdout.flush()
+                except BrokenPipeError:  # its reader has ended, as `head` does after some lines
+                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                    sys.exit(128 + signal.SIGPIPE)
+                raise
             except Exception as error:
                 if not is_user_error(error):
                     raise
@@ -200,6 +209,9 @@ def explain(error: BaseException) -> str:
     if str(error).startswith(LOGGING_ERROR):
         return f"hydra.job_logging or hydra.job.name: {error} ({error.__cause__})"
     if isinstance(error, OverrideParseException):
+        choices = [f"{path.parent.name}={path.stem}" for path in CONF.glob("*/*.yaml") if path.stem == error.override]
+        if choices:
+            return f"{error.override} is no override: {' or '.join(sorted(choices))}?"
         return f"{error.override} is not key=value; a value with = , : or blanks needs two pairs of quotes: \"data_dir='/a=b'\""
     if match := IN_A_FILE.match(str(error)):
         return _explain_file(*match.group(1, 2, 3))
@@ -250,16 +262,26 @@ def _suggest_key(name: str, node: Any) -> str:
         return f" ({name}= chooses a file of conf/{name}; --help lists the keys)"
     if suggestion := _suggest(name, [str(key) for key in node]):
         return suggestion
-    children = {str(key): node._get_node(key) for key in node}
-    keys = [
-        f"{parent}.{key!s}"
-        for parent, child in children.items()
-        if isinstance(child, DictConfig) and child
-        for key in child
-    ]
+    keys = list(_keys_below(node))
     nearest = get_close_matches(name, [key.rpartition(".")[2] for key in keys], n=1)
-    matches = [key for key in keys if key.rpartition(".")[2] in nearest]
+    matches = dict.fromkeys(_referred(node, key) for key in keys if key.rpartition(".")[2] in nearest)
     return f" (did you mean {' or '.join(matches)}?)" if matches else ""
+
+
+def _keys_below(node: DictConfig, prefix: str = "") -> Iterator[str]:
+    """Yield the keys in the blocks of a node, as `training.optimizer.lr`."""
+    for name in map(str, node):
+        child = node._get_node(name)
+        if isinstance(child, DictConfig) and not child._is_none() and not child._is_missing():
+            yield from (f"{prefix}{name}.{key}" for key in map(str, child))
+            yield from _keys_below(child, f"{prefix}{name}.")
+
+
+def _referred(node: DictConfig, key: str) -> str:
+    """Return the key that a key only repeats: `training.learning_rate` for `training.optimizer.lr`."""
+    parent, _, name = key.rpartition(".")
+    match = re.fullmatch(r"\$\{([\w.]+)\}", str(OmegaConf.select(node, parent)._get_node(name)._value()))
+    return match[1] if match else key
 
 
 def _suggest(name: str, known: Iterable[str]) -> str:

@@ -7,6 +7,7 @@ end of the directory's name: `seed0+size-12k+hidden_dim-8`.
 import functools
 import hashlib
 import json
+import os
 import re
 from collections import Counter
 from dataclasses import asdict, fields, is_dataclass
@@ -34,7 +35,14 @@ _PACKAGE = Path(cophy.__file__).parent
 _IN_WHEEL = _PACKAGE / "conf"  # pyproject.toml puts it there
 CONF = _IN_WHEEL if _IN_WHEEL.exists() else _PACKAGE.parents[1] / "conf"
 
+FOLDERS = {"COPHY_DATA": "data", "COPHY_OUTPUTS": "outputs"}  # environment variable -> the folder where it is not set
+
 ConfigT = TypeVar("ConfigT")
+
+
+def folder(variable: str) -> str:
+    """Return the folder that one of `FOLDERS` names: the default of data_dir, or that of the outputs of all commands."""
+    return os.path.expanduser(os.environ.get(variable) or FOLDERS[variable])
 
 
 def to_config(config: DictConfig, schema: type[ConfigT]) -> ConfigT:
@@ -256,9 +264,10 @@ def _resolve_outputs(*, _root_: DictConfig) -> str:
     """Return `${outputs:}`, source.outputs as the folder above all runs: an empty name would be the root of the file system."""
     if not _root_.source.outputs:
         raise CophyError("source.outputs= is empty: it names a folder")
-    return str(_root_.source.outputs)
+    return os.path.expanduser(_root_.source.outputs)
 
 
 # at import, because processes of Hydra's launchers import this module and call no function of it before they need it
 OmegaConf.register_new_resolver("variant", _resolve_variant, replace=True)
 OmegaConf.register_new_resolver("outputs", _resolve_outputs, replace=True)
+OmegaConf.register_new_resolver("folder", folder, replace=True)

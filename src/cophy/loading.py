@@ -32,12 +32,10 @@ def load(
     resolution: int | None = None,
     source: str = "generated",
     root: str | Path | None = None,
-    data_dir: str | Path = "data",
+    data_dir: str | Path | None = None,
     workers: int = 2,
 ) -> ExperimentDataset:
     """Return experiments as a torch Dataset of named tensors; missing data are generated and rendered first.
-
-    Generation starts processes, so a script must call this under `if __name__ == "__main__":`.
 
     Args:
         scenario: blocktower, balls or collision.
@@ -49,7 +47,7 @@ def load(
         resolution: Edge of the images, pixels; None for the paper's 448. Released clips have their own.
         source: generated; cophy or filtered_cophy for a released dataset.
         root: Folder of the released dataset.
-        data_dir: Folder of generated data and of indices of released data.
+        data_dir: Folder of generated data and of indices of released data; None for $COPHY_DATA, or data.
         workers: Processes that generate and render.
 
     Raises:
@@ -70,9 +68,10 @@ def load(
         "scenario": scenario,
         "size": size,
         "data_seed": data_seed,
-        "data_dir": _quoted(data_dir),
         "render": "none" if not images else "rgb" if images == ["rgb"] else "all",
     }
+    if data_dir is not None:
+        overrides["data_dir"] = _quoted(data_dir)
     if root is not None:
         overrides["source.root"] = _quoted(root)
     if resolution is not None:

@@ -4,6 +4,7 @@ The schemas of models are derived from their constructors; `register` makes all 
 """
 
 import math
+import os
 from dataclasses import dataclass, field, make_dataclass
 from enum import Enum
 from functools import cache
@@ -199,9 +200,10 @@ class LookConfig(RenderDataConfig):
 
 
 @dataclass
-class ExportConfig(RenderDataConfig):
+class ExportConfig(DataConfig):
     """Keys of export.py. format: that of a released dataset. clips: whether images are exported. root: output folder."""
 
+    render: RenderSettings = MISSING
     format: str = MISSING
     clips: bool = MISSING
     root: str = MISSING
@@ -312,9 +314,12 @@ class ReportConfig:
 
 
 def _check_folders(config: Any) -> None:
+    """Expand `~`, which shells leave alone inside of quotes."""
     for key in ("data_dir", "directory", "outputs", "root"):
-        if getattr(config, key, None) == "":
+        if (path := getattr(config, key, None)) == "":
             raise ValueError(f"{key}= is empty: it names a folder")
+        if path is not None:
+            setattr(config, key, os.path.expanduser(path))
 
 
 def _check_frames(name: str) -> None:

@@ -1,16 +1,40 @@
-"""Pools of worker processes that end with the process that started them."""
+"""Pools of worker processes that end with the process that started them, and never run its script or notebook again."""
 
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing.context import SpawnContext, SpawnProcess
+from types import ModuleType
 from typing import Any
 
 from cophy.errors import CophyError
+
+
+class _Process(SpawnProcess):
+    """A spawned process without the main module of its parent.
+
+    What workers call is imported by name. The main module may be a script without `if __name__ == "__main__":`, or standard
+    input, which no process can import.
+    """
+
+    @staticmethod
+    def _Popen(process_obj: Any) -> Any:  # noqa: N802 (of multiprocessing)
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")  # has no file that multiprocessing would tell the child to run
+        try:
+            return SpawnProcess._Popen(process_obj)  # type: ignore[attr-defined]
+        finally:
+            sys.modules["__main__"] = main
+
+
+class _Context(SpawnContext):
+    Process = _Process
 
 
 @contextmanager
@@ -28,7 +52,7 @@ def worker_pool(
     """
     if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
         multiprocessing.set_start_method("spawn", force=True)  # a job of joblib: its "loky" is unknown to its children
-    before, context = multiprocessing.active_children(), multiprocessing.get_context("spawn")
+    before, context = multiprocessing.active_children(), _Context()
     with ProcessPoolExecutor(workers, context, _start, (initializer, arguments)) as pool:
         try:
             yield pool
@@ -39,7 +63,7 @@ def worker_pool(
             if isinstance(error, BrokenProcessPool):
                 raise CophyError(
                     "a worker process was killed, possibly because the memory or the disk was full; finished files are kept. "
-                    "Run again with fewer workers=; a script of your own must run it under `if __name__ == '__main__':`"
+                    "Run again with fewer workers="
                 ) from error
             raise
 

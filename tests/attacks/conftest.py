@@ -68,7 +68,7 @@ DERENDERER = (
 ESTIMATED = ("positions=derendered", "model=in", "trainer.max_epochs=2")
 STEPS = (
     Step("generate", "generate", DATA),
-    Step("render", "generate", (*DATA, "render=rgb", "render.resolution=16")),
+    Step("render", "generate", (*DATA, "render=all", "render.modalities=[rgb,segmentation]", "render.resolution=16")),
     Step("oracles", "train", (*DATA, *TRAINING, "model=oracle_feedforward")),
     Step("derenderer", "train", (*DATA, *TRAINING, *DERENDERER, "num_images=200", "trainer.max_epochs=3")),
     Step("derender", "derender", (*DATA, "outputs={world}/outputs", "workers=1")),

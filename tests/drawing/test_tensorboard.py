@@ -8,7 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tensorboard.backend.event_processing.data_provider import MultiplexerDataProvider
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
+from tensorboard.context import RequestContext
+from tensorboard.plugins.base_plugin import TBContext
+from tensorboard.plugins.hparams.api_pb2 import DataType
+from tensorboard.plugins.hparams.backend_context import Context
 
 from cophy.drawing import tensorboard
 from cophy.drawing.tensorboard import Curves, DrawnPredictions
@@ -78,6 +84,27 @@ def test_the_first_card_is_a_result(tmp_path: Path) -> None:
     tags = sorted(events.Tags()["scalars"])
     assert tags == ["mse/test", "mse/val", "per_cell/mse_both_stand", "test/pixel_error", "train/loss", "train/lr-Adam"]
     assert [(event.step, event.value) for event in events.Scalars("mse/test")] == [(9, 4.0)]
+
+
+def test_swept_keys_are_the_first_columns_of_the_table_of_hyperparameters(tmp_path: Path) -> None:
+    """TensorBoard shows the first five at the start; one run was not part of the sweep."""
+    names = {"ablation": "full", "batch_size": 64, "model": "in", "positions": "ground_truth", "scenario": "balls"}
+    sweep = [{"training.learning_rate": rate, "width": width} for rate in (0.1, 0.2) for width in (8, 16)]
+    for number, changes in enumerate([{}, *sweep]):
+        curves = Curves(str(tmp_path), name=f"{number}", version="", default_hp_metric=False)
+        curves.log_hyperparams({**names, "seed": 0, **changes})
+        curves.log_results({"mse": 4.0, "twin_difference_explained": 0.5}, 9)
+        curves.save()
+        curves.experiment.close()
+    multiplexer = EventMultiplexer().AddRunsFromDirectory(str(tmp_path))
+    multiplexer.Reload()
+    provider = MultiplexerDataProvider(multiplexer, str(tmp_path))
+    table, request = Context(TBContext(data_provider=provider)), RequestContext()
+    experiment = table.experiment_from_metadata(request, "", True, table.hparams_metadata(request, ""), [])
+    columns = {info.name: info for info in experiment.hparam_infos}
+    assert list(columns)[:2] == ["training.learning_rate", "width"]
+    assert {DataType.Name(columns[name].type) for name in ("width", "seed")} == {"DATA_TYPE_FLOAT64"}
+    assert experiment.metric_infos[0].name.tag == "mse/test"
 
 
 def test_a_new_training_removes_the_curves_of_an_earlier_one(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 from starlette.testclient import TestClient
 
@@ -14,6 +15,7 @@ from cophy.dataset.states import States
 from cophy.study import experiments as experiments_module
 from cophy.study.answers import PERSON, AnswerStore
 from cophy.study.experiments import StudyExperiments
+from cophy.study.judging import read_judged
 from cophy.study.plan import Limits, StudySettings
 from cophy.study.server import make_app, welcome_text
 from cophy.study.sessions import Sessions
@@ -87,6 +89,11 @@ def site(experiments: StudyExperiments, tmp_path: Path) -> Iterator[Site]:
     store = AnswerStore(path)
     yield Site(Sessions(store, experiments, PERSON), path)
     store.close()
+
+
+def judged_of(path: Path, experiments: StudyExperiments) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return participants and judged clicks of a study."""
+    return read_judged(path, experiments.states, experiments.split, experiments.settings)
 
 
 def answer_to(place: dict[str, Any], **changes: Any) -> dict[str, Any]:

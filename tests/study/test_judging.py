@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cophy.study.judging import human_rows, read_clicks, read_judged
-from tests.study.conftest import Site, answer_to, take_task
+from cophy.study.judging import human_rows, read_clicks
+from tests.study.conftest import Site, answer_to, judged_of, take_task
 
 
 def finish(site: Site, shift: float) -> None:
@@ -25,7 +25,7 @@ def test_errors_are_pixels_of_448(site: Site) -> None:
     """2 pixels of 64 are 14 of 448, 4 are 28."""
     for shift in (2, 4):
         finish(site, shift)
-    rows = human_rows(read_judged(site.path, site.sessions.experiments)[1])
+    rows = human_rows(judged_of(site.path, site.sessions.experiments)[1])
     assert set(rows["kind"]) == {"person"}
     lowest, means = (rows[rows["measure"] == measure] for measure in ("rank_1", "mean"))
     assert means["setting"].tolist() == ["cf", "non_cf"]
@@ -44,7 +44,7 @@ def test_practice_and_missing_clicks_do_not_count_as_errors(site: Site) -> None:
     take_task(browser)
     clicks = answer_to(browser.get("/api/place").json())["clicks"]
     take_task(browser, clicks=clicks[:1])
-    _, judged = read_judged(site.path, site.sessions.experiments)
+    _, judged = judged_of(site.path, site.sessions.experiments)
     assert set(judged["practice"]) == {0, 1}
     rows = human_rows(judged)
     rows = rows[rows["measure"] == "mean"]

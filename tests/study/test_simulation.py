@@ -8,7 +8,7 @@ import pytest
 
 from cophy.study.answers import PERSON, AnswerStore
 from cophy.study.experiments import StudyExperiments
-from cophy.study.judging import human_rows, read_judged
+from cophy.study.judging import human_rows
 from cophy.study.plan import StudyTask
 from cophy.study.sessions import Sessions
 from cophy.study.simulation import (
@@ -19,7 +19,7 @@ from cophy.study.simulation import (
     power_curve,
     take_study,
 )
-from tests.study.conftest import Site, take_task
+from tests.study.conftest import Site, judged_of, take_task
 
 
 def simulated_rows(path: Path, experiments: StudyExperiments, kind: str) -> pd.DataFrame:
@@ -27,7 +27,7 @@ def simulated_rows(path: Path, experiments: StudyExperiments, kind: str) -> pd.D
     store = AnswerStore(path)
     take_study(Sessions(store, experiments, kind), 4, seed=0)
     store.close()
-    return human_rows(read_judged(path, experiments)[1])
+    return human_rows(judged_of(path, experiments)[1])
 
 
 def test_simulated_participants_are_separate_from_human_participants(site: Site) -> None:

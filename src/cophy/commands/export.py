@@ -6,7 +6,6 @@ from omegaconf import DictConfig
 
 from cophy import cli
 from cophy.config import generated_by, to_config
-from cophy.dataset import generation
 from cophy.schemas import ExportConfig
 
 
@@ -16,10 +15,8 @@ def main(cfg: DictConfig) -> None:
 
     settings = to_config(cfg, ExportConfig)
     root = Path(settings.root)
-    root.mkdir(parents=True, exist_ok=True)  # fails before anything is generated
+    root.mkdir(parents=True, exist_ok=True)
     for states in generated_by(settings):
-        generation.ensure(states, workers=settings.workers)
-        images = states.frames(settings.render) if settings.clips else None
-        if images is not None:
-            generation.ensure(images, workers=settings.workers)
+        images = states.frames(settings.render).best_available() if settings.clips else None
+        (states if images is None else images).finished_checksums()  # otherwise an error that names the command
         export(states, images, root)

@@ -32,29 +32,30 @@ def run_study(cfg: DictConfig) -> None:
     if config.action == "serve" and not all(map(importlib.util.find_spec, ("markdown_it", "starlette", "uvicorn"))):
         raise CophyError("the study needs more packages: pip install -e '.[study]'")
     (states,) = generated_by(replace(config, num_objects=num_objects))
-    generation.ensure(states, workers=config.workers)
     _run_action(config, states)
 
 
 def _run_action(config: StudyConfig, states: States) -> None:
     """Run one action; imports are here so that --help is quick, and serving alone needs the packages of `study`."""
-    from cophy.study.experiments import StudyExperiments
-
-    experiments = StudyExperiments(states, config.split, config.study, Path(config.directory))
-    if config.action == "serve":
-        _serve(config, experiments)
-    elif config.action == "export":
+    settings = states, config.split, config.study, Path(config.directory)
+    if config.action == "export":
         from cophy.study.judging import export_answers
 
-        export_answers(experiments)
-    elif config.action == "simulate":
-        from cophy.study.simulation import simulate
-
-        simulate(experiments, participants=config.participants, workers=config.workers)
-    else:
+        export_answers(*settings)
+    elif config.action == "power":
         from cophy.study.simulation import estimate_power
 
-        estimate_power(experiments)
+        estimate_power(*settings)
+    else:
+        from cophy.study.experiments import StudyExperiments
+        from cophy.study.simulation import simulate
+
+        generation.ensure(states, workers=config.workers)
+        experiments = StudyExperiments(*settings)
+        if config.action == "serve":
+            _serve(config, experiments)
+        else:
+            simulate(experiments, participants=config.participants, workers=config.workers)
 
 
 def _serve(config: StudyConfig, experiments: "StudyExperiments") -> None:

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from cophy.dataset.shards import Arrays, Sharded, ShardSet
-from cophy.dataset.splits import SPLITS
+from cophy.dataset.splits import FRACTIONS, SPLITS
 from cophy.scenario.rendering import RenderSettings
 
 
@@ -56,6 +56,13 @@ class NeededFrames:
         needed[rows, 0] = True
         needed[rows, 1, : None if self.whole_cd else 1] = True
         return needed
+
+    def frames_per_experiment(self, num_experiments: int, num_frames: int) -> float:
+        """Return how many frames of an experiment are needed, on average over a dataset."""
+        if self.single is not None:
+            return len(self.single) / num_experiments
+        share = sum(fraction for name, fraction in zip(SPLITS, FRACTIONS, strict=True) if name in self.splits)
+        return share * (2 * num_frames if self.whole_cd else num_frames + 1)
 
 
 ALL_FRAMES = NeededFrames("all", whole_cd=True)

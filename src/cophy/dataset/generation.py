@@ -22,6 +22,7 @@ from cophy.locks import NoLocksError, locked
 from cophy.workers import worker_pool
 
 PATIENCE_S = 30  # until a warning that there is no first experiment yet
+LONG_S = 300  # CPU-seconds from which an estimate is printed first
 log = logging.getLogger(__name__)
 _num_completed: "Synchronized[int]"  # experiments completed so far, shared by the workers of one run
 
@@ -34,8 +35,6 @@ def ensure(shards: ShardSet, *, workers: int) -> None:
 
 def make(shards: ShardSet, *, workers: int) -> None:
     """Generate missing and damaged shards; if several processes call this at once, one of them works."""
-    if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker imports the script that started it
-        raise CophyError("generation starts processes: run it under `if __name__ == '__main__':` in your script")
     every = range(shards.spec.num_shards)
     with _locked_if_writable(shards.directory) as writable, without_leftovers(shards.directory):
         if writable:
@@ -101,6 +100,11 @@ def _generate(missing: list[int], shards: ShardSet, workers: int) -> None:
         multiprocessing.get_context("spawn").Value("q", 0),
         sum(len(shards.experiments(shard)) for shard in missing),
     )
+    seconds, megabytes = shards.cost(total)
+    if seconds > LONG_S:
+        disk = f" and {megabytes:.0f} MB of disk" if megabytes else ""
+        message = "%s: %d experiments take about %.0f CPU-minutes%s; Ctrl-C keeps finished files (workers=%d)"
+        log.warning(message, shards.title, total, seconds / 60, disk, workers)
     start, is_warned, costs = time.monotonic(), False, defaultdict[str, float](float)
     with (
         progress_bar(shards.title, total) as bar,

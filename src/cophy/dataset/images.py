@@ -42,6 +42,13 @@ DESCRIPTIONS = {  # axes, meaning and unit, as files store them
     "drawn": (FRAME, "1 where there is a picture; all else of a frame without one is zero, its boxes -1", ""),
 }
 
+# frames per second on one core, by resolution; MB of an experiment at 448 × 448 with all modalities
+RENDERING = {
+    "blocktower": ({112: 110, 224: 41, 448: 11}, 0.5),
+    "balls": ({112: 65, 224: 27, 448: 8}, 1.6),
+    "collision": ({112: 80, 224: 37, 448: 11}, 1.0),
+}
+
 
 class Images(ShardSet):
     """Images of frames of AB (sequence 0) and CD (1), in a directory below that of the states.
@@ -139,6 +146,16 @@ class Images(ShardSet):
             for row, sequence in np.argwhere(needed.any(axis=2)).tolist():
                 times = np.flatnonzero(needed[row, sequence])
                 yield row, sequence, times, stored["rgb"][row, sequence, times]
+
+    def cost(self, experiments: int) -> tuple[float, float]:
+        scenario, pixels = self.spec.scenario, self.render.resolution**2
+        if scenario.name not in RENDERING:
+            return 0.0, 0.0
+        rates, megabytes = RENDERING[scenario.name]
+        seconds = np.interp(pixels, [edge**2 for edge in rates], [1 / rate for rate in rates.values()])
+        frames = experiments * self.needed.frames_per_experiment(self.spec.num_experiments, scenario.clock.num_frames)
+        share = frames / (2 * scenario.clock.num_frames) * pixels / 448**2
+        return frames * float(seconds), share * megabytes
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Render the frames of a shard's experiments, a sequence at a time."""

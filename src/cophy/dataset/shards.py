@@ -328,6 +328,10 @@ class ShardSet(ABC):
         """Return the experiments in a shard, all of which `write` reports through `advance`."""
         return self.spec.experiments_of_shard(shard)
 
+    def cost(self, experiments: int) -> tuple[float, float]:
+        """Return an estimate for this many experiments: CPU-seconds and MB on disk; zeros where nothing was measured."""
+        return 0.0, 0.0
+
     def invalid(self, arrays: Arrays, shard: int) -> Iterator[tuple[str, np.ndarray]]:
         """Yield what is wrong with the values in a shard, and with which of its experiments, (experiment,) bool."""
         yield from _invalid_values(arrays, self.fields(shard))

@@ -15,6 +15,7 @@ from tensorboard.compat.proto.summary_pb2 import Summary
 from torch import Tensor
 from torch.utils.data import default_collate
 from torch.utils.tensorboard import SummaryWriter
+from torch.utils.tensorboard.summary import hparams
 
 from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.dataset.frames import FrameDataModule
@@ -61,7 +62,11 @@ class Curves(TensorBoardLogger):
         super().log_metrics({card_name(key): each for key, each in metrics.items() if key not in CONSTANT}, step)
 
     def log_results(self, results: Mapping[str, float], step: int) -> None:
-        """Log the mean of every test metric, and the run's line in the table of hyperparameters."""
+        """Log the mean of every test metric, and the run's line in the table of hyperparameters.
+
+        Without a description of the columns, which would be that of one run for all, TensorBoard compares the runs and
+        puts the keys whose values differ first.
+        """
         self.log_metrics({f"test/{name}": value for name, value in results.items() if name not in TABLE_METRICS}, step)
         table = {card_name(f"test/{name}"): results[name] for name in TABLE_METRICS if name in results}
         hyperparameters = {
@@ -69,7 +74,10 @@ class Curves(TensorBoardLogger):
             for key, value in dict(self.hparams).items()
             if value not in (None, "") and not key.endswith("_target_")
         }
-        super().log_hyperparams(hyperparameters, table, step)
+        self.log_metrics(table, step)
+        _, *summaries = hparams(self._sanitize_params(hyperparameters), table)
+        for summary in summaries:  # the beginning of the run, with its values, and the end
+            self.experiment._get_file_writer().add_summary(summary)
 
 
 def card_name(name: str) -> str:

@@ -27,6 +27,7 @@ STORED_PRECISION_M = 1e-4  # positions are stored with less error
 
 # docs/benchmark/metrics.md; the last two know everything and show how far D depends on the solver and on rounding
 ORACLES = ("feedforward", "initial_velocity", "confounders", "counterfactual", "double_rate", "jitter")
+SECONDS_PER_EXPERIMENT = 9.0  # of CPU time, estimated
 JITTER_M = 1e-4  # ours: largest error of each horizontal coordinate of C; positions are stored to a micrometre
 
 
@@ -98,6 +99,9 @@ class OracleForecasts(ShardSet):
                 advance(2)
         path.write_bytes(encode(stored, fields, self.attributes(shard)))
         return {"simulations": simulator.num_simulations}
+
+    def cost(self, experiments: int) -> tuple[float, float]:
+        return experiments * SECONDS_PER_EXPERIMENT, 0.0
 
     def experiments(self, shard: int) -> list[int]:
         return (self._rows(shard) + self.spec.experiments_of_shard(shard)[0]).tolist()

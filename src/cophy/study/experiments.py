@@ -116,7 +116,7 @@ class StudyExperiments:
         if len(practice_pairs) < len(SETTINGS):
             raise CophyError(f"the validation split has no {len(SETTINGS)} twin pairs for practice: {states.remedy}")
         self.practice = practice_tasks(practice_pairs, settings)
-        self.study_id = settings.study_id(f"{self.scenario.name}/{states.id}", split.name)
+        self.study_id = settings.study_id(self.scenario.name, states.id, split.name)
         self.image_directory = image_directory(directory, self.scenario.name, states.id, settings.resolution)
 
     def _select(self, split: Split, part: str) -> np.ndarray:

@@ -11,10 +11,12 @@ import pandas as pd
 
 from cophy.atomic_files import write_atomically
 from cophy.bootstrap import interval, mean
+from cophy.dataset.splits import Split
+from cophy.dataset.states import States, sort_by_twins
 from cophy.errors import CophyError
 from cophy.study.answers import ANSWERS, damaged_error, open_answers
-from cophy.study.experiments import Scenes, StudyExperiments
-from cophy.study.plan import MAX_RESOLUTION, SETTINGS
+from cophy.study.experiments import Scenes
+from cophy.study.plan import MAX_RESOLUTION, SETTINGS, StudySettings
 
 log = logging.getLogger(__name__)
 
@@ -112,10 +114,18 @@ def judge(clicks: pd.DataFrame, scenes: Scenes) -> pd.DataFrame:
     return judged.assign(error=distance * REFERENCE_RESOLUTION / scenes.resolution)
 
 
-def read_judged(path: Path, experiments: StudyExperiments) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the participants of a study (see `read_participants`) and their clicks with errors (see `judge`)."""
-    participants = read_participants(path, experiments.study_id)
-    return participants, judge(read_clicks(path, experiments.study_id), experiments.scenes)
+def read_judged(
+    path: Path, states: States, split: Split, settings: StudySettings
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the participants of a study (see `read_participants`) and their clicks with errors (see `judge`).
+
+    Raises:
+        CophyError: Nobody took this study, or its dataset does not exist; it is not generated for answers of another study.
+    """
+    study = settings.study_id(states.spec.scenario.name, states.id, split.name)
+    participants, clicks = read_participants(path, study), read_clicks(path, study)
+    arrays = sort_by_twins(states.load(), states.spec)
+    return participants, judge(clicks, Scenes(states.spec.scenario, arrays, settings.resolution))
 
 
 def human_rows(judged: pd.DataFrame) -> pd.DataFrame:
@@ -146,12 +156,12 @@ def human_rows(judged: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def export_answers(experiments: StudyExperiments) -> None:
+def export_answers(states: States, split: Split, settings: StudySettings, directory: Path) -> None:
     """Write answers.csv (one row per object of every answer), participants.csv, and table.csv with the rows of Table 1."""
-    path = experiments.directory / ANSWERS
+    path = directory / ANSWERS
     if not path.exists():
         raise CophyError(f"{path} does not exist: nobody has taken this study yet")
-    participants, judged = read_judged(path, experiments)
+    participants, judged = read_judged(path, states, split, settings)
     rows = human_rows(judged)
     for name, table in (("answers.csv", judged), ("participants.csv", participants), ("table.csv", rows)):
         write_atomically(path.with_name(name), table.to_csv(index=False).encode())

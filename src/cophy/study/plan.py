@@ -54,14 +54,15 @@ class StudySettings:
         """Number of tasks of one participant, without practice."""
         return len(SETTINGS) * self.num_assignments
 
-    def study_id(self, data_id: str, split: str) -> str:
+    def study_id(self, scenario: str, data: str, split: str) -> str:
         """Return the name of a study; only participants of the same study are counted together.
 
         Args:
-            data_id: Scenario and name of the dataset.
+            scenario: Name of the scenario.
+            data: Id of the dataset.
             split: Name of the split whose test half is shown.
         """
-        text = json.dumps({"data": data_id, "split": split, **asdict(self)}, sort_keys=True)
+        text = json.dumps({"data": f"{scenario}/{data}", "split": split, **asdict(self)}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

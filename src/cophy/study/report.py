@@ -99,7 +99,8 @@ def _judge(path: Path, study: str, description: str, dataset: Dataset) -> list[S
         raise CophyError(f"its description was not written by study.py ({type(error).__name__}: {error})") from error
     states = dataset(scenario, num_objects, size, data_seed, overrides)
     if states.id != data or not states.is_finished():
-        raise CophyError(f"its data, {scenario}/{data}, are not there")
+        remedy = f": run `{states.command}`" if states.id == data else ""
+        raise CophyError(f"its data, {scenario}/{data}, are not there{remedy}")
     judged = judge(clicks, Scenes(states.spec.scenario, sort_by_twins(states.load(), states.spec), resolution))
     return [StudyAnswers(scenario, split, states.id, resolution, path.parent, judged, human_rows(judged))]
 

@@ -13,11 +13,13 @@ from scipy.stats import ttest_1samp
 from tqdm import tqdm
 
 from cophy.atomic_files import appearing_whole, write_atomically
+from cophy.dataset.splits import Split
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.study.answers import SIMULATED, AnswerStore, exclusive, naming_file
 from cophy.study.experiments import Positions, Scenes, StudyExperiments
 from cophy.study.judging import REFERENCE_RESOLUTION, human_rows, read_judged
-from cophy.study.plan import StudyTask
+from cophy.study.plan import StudySettings, StudyTask
 from cophy.study.sessions import Sessions
 
 log = logging.getLogger(__name__)
@@ -80,7 +82,7 @@ def simulate(experiments: StudyExperiments, *, participants: int, workers: int) 
                 take_study(Sessions(store, experiments, kind), participants, seed)
         for suffix in ("-wal", "-shm"):  # SQLite would apply the journal of the old file to the new one
             path.with_name(f"{path.name}{suffix}").unlink(missing_ok=True)
-    _, judged = read_judged(path, experiments)
+    _, judged = read_judged(path, experiments.states, experiments.split, experiments.settings)
     log.info("%s\nanswers: %s", human_rows(judged).round(2).to_string(), path)
 
 
@@ -118,17 +120,17 @@ SIGNIFICANCE = 0.05
 TARGET_POWER = 0.8  # customary
 
 
-def estimate_power(experiments: StudyExperiments) -> None:
+def estimate_power(states: States, split: Split, settings: StudySettings, directory: Path) -> None:
     """Write power.csv and power.png, computed from the simulated participants that err like the paper's."""
-    path, scenario, split = experiments.directory / SIMULATED, experiments.scenario.name, experiments.split.name
+    path, scenario = directory / SIMULATED, states.spec.scenario.name
     if not path.exists():
         raise CophyError(f"{path} does not exist: run study.py simulate scenario={scenario} first")
-    _, judged = read_judged(path, experiments)
+    _, judged = read_judged(path, states, split, settings)
     differences = error_differences(judged[judged["kind"] == HUMAN_LIKE])
     if len(differences) < 2:
         raise CophyError(f"{path} has no simulated participants of this study: run study.py simulate first")
-    curve = power_curve(differences, experiments.settings.seed)
-    title = f"{scenario} {split}: {HUMAN_LIKE}, {len(differences)} simulated participants"
+    curve = power_curve(differences, settings.seed)
+    title = f"{scenario} {split.name}: {HUMAN_LIKE}, {len(differences)} simulated participants"
     image = io.BytesIO()
     draw_power(curve, differences, title).savefig(image, format="png", dpi=110)
     write_atomically(path.with_name("power.csv"), curve.to_csv(index=False).encode())
