@@ -51,6 +51,12 @@ def test_workers_do_not_run_the_main_module_again(way: str, tmp_path: Path) -> N
     words = {"script": ["script.py"], "-c": ["-c", SCRIPT], "standard input": ["-"], "module": ["-m", "script"]}[way]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(
-        [sys.executable, *words], cwd=tmp_path, env=environment, input=SCRIPT, capture_output=True, text=True, timeout=300
+        [sys.executable, *words],
+        cwd=tmp_path,
+        env=environment,
+        input=SCRIPT,
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     assert done.stdout == "begins __main__\n[1, 2]\n", done.stderr

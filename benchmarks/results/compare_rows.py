@@ -74,5 +74,7 @@ if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("ours", help="a model, and what a run changes beyond it")
     parser.add_argument("other", help="likewise")
-    parser.add_argument("outputs", nargs="?", type=Path, default=Path(folder("COPHY_OUTPUTS")), help="where runs are kept")
+    parser.add_argument(
+        "outputs", nargs="?", type=Path, default=Path(folder("COPHY_OUTPUTS")), help="where runs are kept"
+    )
     main(**vars(parser.parse_args()))

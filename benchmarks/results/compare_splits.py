@@ -87,5 +87,7 @@ if __name__ == "__main__":
     parser.add_argument("row", help="a model, and what a run changes beyond it")
     parser.add_argument("split", help="or splits, joined by +")
     parser.add_argument("other", help="likewise")
-    parser.add_argument("outputs", nargs="?", type=Path, default=Path(folder("COPHY_OUTPUTS")), help="where runs are kept")
+    parser.add_argument(
+        "outputs", nargs="?", type=Path, default=Path(folder("COPHY_OUTPUTS")), help="where runs are kept"
+    )
     main(**vars(parser.parse_args()))

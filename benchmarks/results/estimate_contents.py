@@ -145,5 +145,7 @@ def _classifier(kind: str) -> ClassifierMixin:
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path, help="folder of a trained CoPhyNet")
-    parser.add_argument("data_dir", nargs="?", type=Path, default=Path(folder("COPHY_DATA")), help="where the dataset lies")
+    parser.add_argument(
+        "data_dir", nargs="?", type=Path, default=Path(folder("COPHY_DATA")), help="where the dataset lies"
+    )
     main(**vars(parser.parse_args()))

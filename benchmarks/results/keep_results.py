@@ -99,6 +99,8 @@ def as_text(value: object) -> str:
 
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("outputs", nargs="?", type=Path, default=Path(folder("COPHY_OUTPUTS")), help="where runs are kept")
+    parser.add_argument(
+        "outputs", nargs="?", type=Path, default=Path(folder("COPHY_OUTPUTS")), help="where runs are kept"
+    )
     parser.add_argument("table", nargs="?", type=Path, default=TABLE, help="the table that they are added to")
     main(**vars(parser.parse_args()))

@@ -67,5 +67,7 @@ def percent(low: float, high: float) -> str:
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint", type=Path, help="of a CoPhyNet that was trained on collisions")
-    parser.add_argument("data_dir", nargs="?", type=Path, default=Path(folder("COPHY_DATA")), help="where the dataset lies")
+    parser.add_argument(
+        "data_dir", nargs="?", type=Path, default=Path(folder("COPHY_DATA")), help="where the dataset lies"
+    )
     main(**vars(parser.parse_args()))

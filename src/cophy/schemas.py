@@ -130,6 +130,7 @@ class DataConfig:
         _check_folders(self)
         if not isinstance(self.scenario, SCENARIOS.get(self.scenario.name, Scenario)):
             raise ValueError(f"scenario.name={self.scenario.name} is the name of another scenario")
+        self.split.check_scenario(self.scenario)  # before slow imports
 
 
 @dataclass

@@ -3,6 +3,7 @@
 import errno
 import logging
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -13,6 +14,7 @@ import pytest
 
 from cophy.cli import LogFile, explain, is_user_error, print_error_of_thread
 from tests.commands import run
+from tests.conftest import ROOT
 
 REFUSED = [  # override, and what the error must contain; values that are refused in composing: see test_config.py
     ("model.hidden_dim=10000000000", "model: not enough memory"),
@@ -104,3 +106,45 @@ def test_output_replaces_what_a_terminal_cannot_show() -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     result = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert (result.stdout, result.stderr) == ("3 ? 4 m?\n", "")
+
+
+def test_a_pipe_that_is_closed_ends_a_command_without_a_traceback() -> None:
+    """As `--help | head`."""
+    command = [sys.executable, str(ROOT / "src" / "predict.py"), "--help"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        assert process.stderr.read() == ""
+    assert process.returncode == 128 + signal.SIGPIPE
+
+
+def test_a_split_of_another_scenario_is_refused_before_slow_imports() -> None:
+    code = (
+        "import runpy, sys\n"
+        "sys.argv = ['src/train.py', 'scenario=balls', 'split=all']\n"
+        "try: runpy.run_path('src/train.py', run_name='__main__')\n"
+        "finally: print({'lightning', 'pandas', 'matplotlib'} & sys.modules.keys())\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert "split=all does not go with balls" in result.stderr
+    assert result.stdout.strip() == "set()"
+
+
+def test_look_without_a_scenario_asks_for_it(tmp_path: Path) -> None:
+    printed = run("look", f"data_dir={tmp_path / 'data'}", f"directory={tmp_path / 'look'}", code=1)
+    (line,) = printed.strip().splitlines()
+    assert line.endswith("look.py: scenario= is not given: choose among blocktower, balls, collision")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_export_names_the_command_that_makes_its_data(tmp_path: Path, tiny_data: Path) -> None:
+    words = ("scenario=collision", "size=tiny", f"root={tmp_path / 'tree'}")
+    for keys, command in ((("clips=false",), "data_seed=0"), ((), "'render.modalities=[rgb,segmentation]'")):
+        printed = run("export", *words, *keys, f"data_dir={tmp_path / 'data'}", code=1)
+        (line,) = printed.strip().splitlines()
+        assert "is not finished: run `python src/generate.py scenario=collision size=tiny" in line
+        assert command in line
+    assert not (tmp_path / "data").exists()
+    run("export", *words, "clips=false", f"data_dir={tiny_data}")
+    assert (tmp_path / "tree" / "collisionCF").is_dir()

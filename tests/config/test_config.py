@@ -206,7 +206,11 @@ MISTAKES = {
     "positions=derendered model.object_type=true": "positions=derendered does not go with model.object_type=true: no de-renderer estimates it",
     "positions=train_ground_truth_test_derendered model.pose=true": "does not go with model.pose=true: no de-renderer estimates it",
     "data_dir=/x=y": "data_dir=/x=y is not key=value; a value with = , : or blanks needs two pairs of quotes",
-    "collision": "collision is not key=value",
+    "collision": "collision is no override: scenario=collision?",
+    "all": "all is no override: render=all or split=all?",
+    "colision": "colision is not key=value",
+    "lr=0.1": "lr: Key 'lr' not in 'TrainConfig' (did you mean training.learning_rate?)",
+    "scenario=balls split=all": "split=all does not go with balls: use 4to4, 4to2, 4to3, 4to5, 4to6",
     "hydra.job.chdir=true": "hydra.job.chdir=true: data_dir= and other relative paths would be of each run's folder",
     "hydra.job.name=x/y": "hydra.job_logging or hydra.job.name: Unable to configure handler 'file' ([Errno 2]",
     "hydra.job_logging.root.level=FOO": "Unable to configure root logger (Unknown level: 'FOO')",
@@ -321,3 +325,18 @@ def test_the_seed_of_a_dataset_may_be_called_seed(command: str, key: str) -> Non
 def test_the_seed_of_a_training_is_not_that_of_its_dataset() -> None:
     config = settings("train", "seed=3")
     assert (config.seed, config.data_seed) == (3, 0)
+
+
+@pytest.mark.parametrize("command", ["train", "derender", "report", "look", "study", "predict", "audit"])
+def test_environment_variables_name_the_folders(command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    needed = ["observed=a", "initial=b", "derenderer=c", "predictor=d"] if command == "predict" else []
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for outputs, folder in (("~/runs", f"{tmp_path}/runs"), ("relative", "relative"), ("", "outputs")):
+        monkeypatch.setenv("COPHY_DATA", outputs and f"{outputs}/data")
+        monkeypatch.setenv("COPHY_OUTPUTS", outputs)
+        config = settings(command, *needed)
+        assert getattr(config, "data_dir", None) in (None, f"{folder}/data" if outputs else "data")
+        written = config.source.outputs if command == "train" else getattr(config, "outputs", None) or config.directory
+        assert Path(written).is_relative_to(folder)
+    config = settings(command, *needed, *(["data_dir='~/x'"] if hasattr(config, "data_dir") else []))
+    assert getattr(config, "data_dir", None) in (None, f"{tmp_path}/x")

@@ -1,5 +1,6 @@
 """The data from Python."""
 
+import os
 import pickle
 import subprocess
 import sys
@@ -128,3 +129,23 @@ def test_a_hydra_program_of_somebody_else_loads_data_and_continues(tiny_data: Pa
 def test_a_resolution_of_released_clips_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CophyError, match="resolution=112: released clips have their own"):
         cophy.load("balls", source="cophy", root=tmp_path, modalities=("rgb",), resolution=112, data_dir=tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["-", "script.py", "-c"])
+def test_data_are_generated_from_standard_input_and_scripts_without_a_guard(way: str, tmp_path: Path) -> None:
+    code = 'import cophy\nprint(len(cophy.load("collision", size="tiny")))\n'
+    (tmp_path / "script.py").write_text(code)
+    words, environment = ["-c", code] if way == "-c" else [way], {**os.environ, "COPHY_DATA": "here"}
+    done = subprocess.run(
+        [sys.executable, *words], cwd=tmp_path, env=environment, input=code, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "34\n", done.stderr[-2000:]
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["here"]
+
+
+def test_data_are_where_the_environment_says(tiny_data: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COPHY_DATA", os.path.relpath(tiny_data))
+    assert len(cophy.load("balls", size="tiny")) == 34
+    assert not list(tmp_path.iterdir())

@@ -14,12 +14,15 @@ import pytest
 
 from cophy.atomic_files import appearing_whole
 from cophy.dataset import generation
+from cophy.dataset.experiment_set import FRAMES
+from cophy.dataset.images import Images
 from cophy.dataset.shards import MANIFEST
 from cophy.dataset.states import States
 from cophy.errors import CophyError
+from cophy.scenario.rendering import Backend, RenderSettings
 from cophy.workers import worker_pool
 from tests.commands import run, run_apart
-from tests.conftest import ROOT
+from tests.conftest import ROOT, SCENARIOS, settings, tiny_spec
 from tests.dataset.copies import SPEC, copy, digests, generate
 
 
@@ -222,3 +225,34 @@ def test_parallel_jobs_generate_one_dataset(finished: Path, tmp_path: Path) -> N
 def test_a_part_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     printed = run("generate", "scenario=collision", "size=tiny", "part=2", "parts=2", f"data_dir={tmp_path}", code=1)
     assert "part=2 must be from 0 to 1" in printed
+
+
+def test_long_work_prints_an_estimate_first(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    directory = copy(finished, tmp_path)
+    (directory / "shard-00001.h5").unlink()
+    generate(tmp_path)
+    assert not caplog.messages
+    (directory / "shard-00001.h5").unlink()
+    monkeypatch.setattr(States, "cost", lambda self, experiments: (100 * experiments, 0.5 * experiments))
+    generate(tmp_path)
+    (message,) = caplog.messages
+    assert "24 experiments take about 40 CPU-minutes and 12 MB of disk" in message
+
+
+def test_every_dataset_has_a_measured_cost() -> None:
+    for scenario in SCENARIOS:
+        counts = settings("generate", f"scenario={scenario}", "size=paper").size.num_experiments[scenario]
+        for count in map(int, counts):
+            assert all(value > 0 for value in States(tiny_spec(scenario, count), Path()).cost(2))
+
+
+def test_the_cost_of_images_follows_their_size_and_number() -> None:
+    states = States(tiny_spec("balls"), Path())
+    seconds, megabytes = Images(states, RenderSettings(["rgb"], 448, Backend.tiny)).cost(100)
+    assert (seconds, megabytes) == pytest.approx((100 * 60 / 8, 160))
+    smaller, _ = Images(states, RenderSettings(["rgb"], 300, Backend.tiny)).cost(100)
+    assert 100 * 60 / 27 < smaller < seconds
+    tested, _ = Images(states, RenderSettings(["rgb"], 448, Backend.tiny), FRAMES["test_inputs"]).cost(100)
+    assert tested == pytest.approx(0.1 * 100 * 31 / 8)

@@ -92,6 +92,22 @@ def test_export_writes_nothing_for_the_keys_of_another_study(site: Site, tiny_da
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
 
 
+@pytest.mark.parametrize("action", ["export", "power"])
+def test_export_and_power_generate_nothing(
+    action: str, simulated: Path, site: Site, tiny_data: Path, tmp_path: Path
+) -> None:
+    """For keys of another study, nor where the data of this study are missing."""
+    take_task(site.participant())
+    name, path = ("answers.sqlite", site.path) if action == "export" else ("simulated.sqlite", simulated)
+    shutil.copy(path if action == "export" else path / "study" / "blocktower" / name, tmp_path / name)
+    for size, message in (("small", "has no participants of study"), ("tiny", "is not finished: run `python src/gen")):
+        words = (f"size={size}", f"action={action}")
+        printed = study(*words, data=tmp_path / "data", directory=tmp_path, code=1)
+        (line,) = printed.strip().splitlines()
+        assert message in line
+    assert not (tmp_path / "data").exists()
+
+
 def test_a_port_in_use_is_named_before_anything_is_drawn(tiny_data: Path, tmp_path: Path) -> None:
     with listen("127.0.0.1", 0) as listener:
         port = listener.getsockname()[1]

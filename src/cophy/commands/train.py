@@ -36,8 +36,6 @@ if not {"--help", "-h"} & set(sys.argv):  # the schemas of models import torch, 
 
 @cli.command("train")
 def main(cfg: DictConfig) -> float:
-    from cophy.report.run_summary import show_results
-
     run, plain, hydra_config = make_run(cfg), to_plain(cfg), HydraConfig.get()
     in_parallel = hydra_config.runtime.choices["hydra/launcher"] != "basic"
     if in_parallel:  # progress bars would overwrite each other
@@ -51,6 +49,8 @@ def main(cfg: DictConfig) -> float:
             log.error("%s failed: %s", run.place, error, exc_info=not cli.is_user_error(error))
         raise
     if is_rank_zero() and not in_parallel and not config.trainer.fast_dev_run:
+        from cophy.report.run_summary import show_results
+
         show_results(run)
     if validation and cfg.optimized_metric not in validation:
         raise CophyError(f"optimized_metric={cfg.optimized_metric} is not among {', '.join(sorted(validation))}")

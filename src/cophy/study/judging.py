@@ -114,9 +114,7 @@ def judge(clicks: pd.DataFrame, scenes: Scenes) -> pd.DataFrame:
     return judged.assign(error=distance * REFERENCE_RESOLUTION / scenes.resolution)
 
 
-def read_judged(
-    path: Path, states: States, split: Split, settings: StudySettings
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+def read_judged(path: Path, states: States, split: Split, settings: StudySettings) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the participants of a study (see `read_participants`) and their clicks with errors (see `judge`).
 
     Raises:

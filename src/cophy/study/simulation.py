@@ -5,6 +5,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
