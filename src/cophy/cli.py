@@ -10,6 +10,7 @@ import json
 import logging
 import os
 import re
+import select
 import shutil
 import signal
 import sys
@@ -130,12 +131,10 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
                 main()
                 sys.stdout.flush()
             except BrokenPipeError:
-                try:
-                    sys.stdout.flush()
-                except BrokenPipeError:  # its reader has ended, as `head` does after some lines
-                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-                    sys.exit(128 + signal.SIGPIPE)
-                raise
+                if not _is_closed_pipe(sys.stdout.fileno()):
+                    raise
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                sys.exit(128 + signal.SIGPIPE)
             except Exception as error:
                 if not is_user_error(error):
                     raise
@@ -149,6 +148,13 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
         return run
 
     return decorate
+
+
+def _is_closed_pipe(descriptor: int) -> bool:
+    """Return whether the reader of a pipe has ended, as `head` does after some lines."""
+    poll = select.poll()
+    poll.register(descriptor, 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def _failed_runs() -> list[str]:
@@ -185,7 +191,7 @@ OF_RESOLVER = "CophyError raised while resolving interpolation: "
 SLURM_ERRORS = {  # text in errors of Hydra and submitit -> explanation
     'Could not detect "srun"': "hydra/launcher=slurm: there is no srun here, so this is no node of a SLURM cluster",
     "has not produced any output": "a job ended without a result; its output is in .submitit/ next to the runs; the same command continues",
-    "Could not load 'hydra/launcher/submitit_slurm'": "hydra/launcher=slurm needs a package: pip install -e '.[cluster]'",
+    "Could not load 'hydra/launcher/submitit_slurm'": "hydra/launcher=slurm needs a package: pip install 'cophy[cluster]'",
 }
 
 

@@ -20,7 +20,7 @@ from tests.conftest import ROOT, tiny_spec
 pytestmark = [
     pytest.mark.cluster,
     pytest.mark.skipif(bool(missing()), reason=f"not installed: {', '.join(missing())}"),
-    pytest.mark.skipif(find_spec("submitit") is None, reason="not installed: pip install -e '.[cluster]'"),
+    pytest.mark.skipif(find_spec("submitit") is None, reason="not installed: pip install 'cophy[cluster]'"),
 ]
 ON_SLURM = ("-m", "hydra/launcher=slurm", "hydra.launcher.mem_gb=2")
 IN = ("scenario=collision", "model=in", "size=tiny")

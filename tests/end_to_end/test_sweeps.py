@@ -42,7 +42,7 @@ def test_all_runs_that_failed_are_listed_at_the_end(tiny_data: Path, tmp_path: P
     assert len(list(tmp_path.rglob("failure.json"))) == 2
 
 
-@pytest.mark.skipif(find_spec("submitit") is None, reason="not installed: pip install -e '.[cluster]'")
+@pytest.mark.skipif(find_spec("submitit") is None, reason="not installed: pip install 'cophy[cluster]'")
 def test_without_slurm_its_launcher_says_so(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     jobs = ("-m", "scenario=collision", "model=copy_c", "hydra/launcher=slurm", f"hydra.sweep.dir={tmp_path}")

@@ -30,7 +30,7 @@ def run_study(cfg: DictConfig) -> None:
     if len(num_objects) != 1:
         raise CophyError(f"num_objects={num_objects}: a study shows experiments with one number of objects")
     if config.action == "serve" and not all(map(importlib.util.find_spec, ("markdown_it", "starlette", "uvicorn"))):
-        raise CophyError("the study needs more packages: pip install -e '.[study]'")
+        raise CophyError("the study needs more packages: pip install 'cophy[study]'")
     (states,) = generated_by(replace(config, num_objects=num_objects))
     _run_action(config, states)
 
