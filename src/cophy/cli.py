@@ -215,9 +215,9 @@ def explain(error: BaseException) -> str:
     if str(error).startswith(LOGGING_ERROR):
         return f"hydra.job_logging or hydra.job.name: {error} ({error.__cause__})"
     if isinstance(error, OverrideParseException):
-        choices = [f"{path.parent.name}={path.stem}" for path in CONF.glob("*/*.yaml") if path.stem == error.override]
-        if choices:
-            return f"{error.override} is no override: {' or '.join(sorted(choices))}?"
+        named = [f"{path.parent.name}={path.stem}" for path in CONF.glob("*/*.yaml") if path.stem == error.override]
+        if named:
+            return f"{error.override} is no override: {' or '.join(sorted(named))}?"
         return f"{error.override} is not key=value; a value with = , : or blanks needs two pairs of quotes: \"data_dir='/a=b'\""
     if match := IN_A_FILE.match(str(error)):
         return _explain_file(*match.group(1, 2, 3))

@@ -97,9 +97,8 @@ def test_export_and_power_generate_nothing(
     action: str, simulated: Path, site: Site, tiny_data: Path, tmp_path: Path
 ) -> None:
     """For keys of another study, nor where the data of this study are missing."""
-    take_task(site.participant())
-    name, path = ("answers.sqlite", site.path) if action == "export" else ("simulated.sqlite", simulated)
-    shutil.copy(path if action == "export" else path / "study" / "blocktower" / name, tmp_path / name)
+    take_task(site.participant())  # its answers are in tmp_path
+    shutil.copy(simulated / "study" / "blocktower" / "simulated.sqlite", tmp_path)
     for size, message in (("small", "has no participants of study"), ("tiny", "is not finished: run `python src/gen")):
         words = (f"size={size}", f"action={action}")
         printed = study(*words, data=tmp_path / "data", directory=tmp_path, code=1)

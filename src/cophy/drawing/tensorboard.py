@@ -75,7 +75,7 @@ class Curves(TensorBoardLogger):
             if value not in (None, "") and not key.endswith("_target_")
         }
         self.log_metrics(table, step)
-        _, *summaries = hparams(self._sanitize_params(hyperparameters), table)
+        _, *summaries = hparams(self._sanitize_params(hyperparameters), table)  # type: ignore[no-untyped-call]
         for summary in summaries:  # the beginning of the run, with its values, and the end
             self.experiment._get_file_writer().add_summary(summary)
 
