@@ -269,7 +269,7 @@ class TrainConfig(RenderDataConfig):
             for name, keys in getattr(self, group).items():
                 if not isinstance(keys, dict):
                     raise ValueError(
-                        f"{group}.{name} has no _target_: its YAML starts with the line '# @package {group}.<name>'"
+                        f"{group}.{name} is no block with a _target_: its YAML starts with the line '# @package {group}.<name>'"
                     )
         if self.ckpt is not None and self.predictor is not None:
             raise ValueError("ckpt= resumes a training, predictor= replaces one: give one of them")

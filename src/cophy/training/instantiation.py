@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from hydra.errors import InstantiationException
@@ -21,8 +22,10 @@ def instantiate_key(key: str, arguments: dict[str, Any], **more: Any) -> Any:
     except InstantiationException as error:
         cause = error.__cause__
         if isinstance(cause, ModuleNotFoundError):
-            raise CophyError(f"{key} needs another package, or its folder on PYTHONPATH: {cause}") from error
-        raise CophyError(f"{key}: {cause or error}") from error
+            raise CophyError(f"{key} needs another package: {cause}") from error
+        message = " ".join(str(cause or error).split())
+        hint = " Is its folder on PYTHONPATH?" if "ModuleNotFoundError" in message else ""
+        raise CophyError(f"{key}: {message}{hint}") from error
 
 
 def instantiate_function(key: str, arguments: dict[str, Any]) -> Callable[..., Any]:
@@ -35,8 +38,10 @@ def instantiate_function(key: str, arguments: dict[str, Any]) -> Callable[..., A
         raise CophyError(f"{key} has no _target_, which names a function or a class")
     part = instantiate_key(key, arguments, _partial_=True)
     try:
-        function: Callable[..., Any] = part() if isinstance(part.func, type) else part
-        inspect.signature(function).bind(None, None)
-    except (TypeError, ValueError) as error:
+        if isinstance(part.func, type):
+            instance: Callable[..., Any] = part()
+            return instance
+        inspect.signature(part.func).bind(None, None, **part.keywords)
+    except TypeError as error:
         raise CophyError(f"{key}: {error}; see {arguments['_target_']}") from error
-    return function
+    return partial(part.func, **part.keywords)  # Hydra's own partial checks every call

@@ -124,7 +124,7 @@ class PredictionModule(L.LightningModule):
         self.metrics["in_val_twins"] = twin_collection(scenario.task.metric_dims, "val/")  # training separates twins
         self.cells, self.squared_error = scenario.cells(), mean_squared_error(scenario.task.metric_dims)
         self.mse_of_cells = MeanOfEachCell(len(self.cells))
-        taken = {name for part in self.metrics.values() for name in part}  # type: ignore[attr-defined]
+        taken = {name.removeprefix("val/") for part in self.metrics.values() for name in part}  # type: ignore[attr-defined]
         self.own_measures = own_measures(metrics or {}, taken | {f"mse_{cell}" for cell in self.cells})
         self.metrics["in_val_own"] = collection(self.own_measures, "val/")
         self.confusion = StandingConfusion() if scenario.statics is not None else None
