@@ -19,6 +19,7 @@ from cophy.dataset.experiment_set import FRAMES
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
+from cophy.errors import check_name
 from cophy.oracles.forecasts import ORACLES, OracleSettings
 from cophy.released.states import ReleasedSource
 from cophy.report.paper_tables import register_tables
@@ -267,6 +268,7 @@ class TrainConfig(RenderDataConfig):
         _check_range("num_images", self.num_images, 10)
         for group in ("logger", "metrics"):
             for name, keys in getattr(self, group).items():
+                check_name(group, name)
                 if not isinstance(keys, dict):
                     raise ValueError(
                         f"{group}.{name} is no block with a _target_: its YAML starts with the line '# @package {group}.<name>'"

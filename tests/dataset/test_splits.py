@@ -132,7 +132,9 @@ def test_what_the_scenario_does_not_have_is_named(keys: dict[str, Any], message:
 def test_a_split_of_the_user_says_its_scenario(scenario_of) -> None:
     Split("mine", Part(2), Part(2), scenario="collision").check_scenario(scenario_of("collision"))
     for scenario in (None, "balls"):
-        with pytest.raises(CophyError, match=r"split=mine does not go with collision: .*has the line `scenario: coll"):
+        with pytest.raises(
+            CophyError, match=r"split=mine does not go with collision: .*needs the line `scenario: coll"
+        ):
             Split("mine", Part(2), Part(2), scenario=scenario).check_scenario(scenario_of("collision"))
 
 

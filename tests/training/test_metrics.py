@@ -144,9 +144,15 @@ def test_a_loss_of_the_user_gets_present_objects_alone(reduce: Callable[[Tensor]
     assert (position.grad[empty.expand_as(position)] == 0).all()
 
 
+def test_a_loss_of_the_user_may_leave_steps_out() -> None:
+    error = prediction().position - targets().position
+    last = position_loss(prediction(), targets(), lambda predicted, target: (predicted - target)[:, 1:].square())
+    assert last.item() == pytest.approx(error[:, 1][targets().presence].square().mean().item())
+
+
 @pytest.mark.parametrize("wrong", [torch.Tensor.mean, torch.Tensor.tolist, lambda values: values[0]])
 def test_a_loss_of_another_shape_is_refused(wrong: Callable[[Tensor], Any]) -> None:
-    with pytest.raises(CophyError, match=r"training\.loss returns .*, not a value for each coordinate or object"):
+    with pytest.raises(CophyError, match=r"training\.loss returns .*, not values of steps for each coordinate"):
         position_loss(prediction(), targets(), lambda predicted, target: wrong(predicted - target))
 
 

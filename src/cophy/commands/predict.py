@@ -21,8 +21,9 @@ def main(cfg: DictConfig) -> None:
 
     settings = to_config(cfg, PredictConfig)
     derenderer = TrainedDerenderer(Path(settings.derenderer))
-    model_class = settings.model_class and import_network_class("model_class", settings.model_class)
-    predictor = TrainedPredictor(Path(settings.predictor), SCENARIOS, model_class or None)
+    name = settings.model_class
+    model_class = None if name is None else import_network_class("model_class", name)
+    predictor = TrainedPredictor(Path(settings.predictor), SCENARIOS, model_class)
     check_pair(derenderer, predictor)
     rate = predictor.scenario.clock.frame_rate_hz
     observed = read_frames(Path(settings.observed), frame_rate_hz=rate)

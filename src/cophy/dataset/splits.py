@@ -8,17 +8,13 @@ import numpy as np
 
 from cophy.errors import CophyError, check_name
 from cophy.scenario import Scenario, Shape
+from cophy.scenario.confounders import CONFOUNDERS_OF_OBJECTS
 
 SPLITS = ("train", "val", "test")
 FRACTIONS = (0.7, 0.2, 0.1)  # paper Sec. 3
 
 
 EARLIER = ("num_objects", "moving", "configurations")  # keys of a part that checkpoints have always stored
-OF_OBJECTS = (
-    "mass",
-    "friction",
-    "restitution",
-)  # confounders with a value per object; the others have one per experiment
 
 
 @dataclass
@@ -73,7 +69,7 @@ class Part:
         if self.configurations is not None:
             masks["configurations"] = arrays["seen"] == (self.configurations == "seen")
         for name, values in self.where.items():
-            if name in OF_OBJECTS:
+            if name in CONFOUNDERS_OF_OBJECTS:
                 met = _is_among(arrays[name], values) | ~arrays["presence"].any(axis=1)
                 masks[f"where.{name}"] = met.all(axis=1)
             else:
@@ -139,7 +135,7 @@ class Split:
         """Raise CophyError if the split does not belong to this scenario, or names what the scenario does not have."""
         if self.scenario != scenario.name and self.name not in scenario.task.splits:
             choices = ", ".join(scenario.task.splits)
-            hint = f"of a split of your own, the YAML has the line `scenario: {scenario.name}`"
+            hint = f"a split of your own needs the line `scenario: {scenario.name}`"
             raise CophyError(f"split={self.name} does not go with {scenario.name}: use {choices}; {hint}")
         for key in ("train", "test"):
             getattr(self, key).check(f"split.{key}", scenario)

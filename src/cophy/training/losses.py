@@ -10,7 +10,8 @@ from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 from cophy.errors import CophyError
 from cophy.types import Prediction, Targets
 
-# From predicted and true positions (batch, steps, slots, 3), metres, to losses of the same shape, or without the last axis
+# From predicted and true positions (batch, steps, slots, 3), metres, to values (batch, some steps, slots, 3), or without
+# the last axis
 PositionLoss = Callable[[Tensor, Tensor], Tensor]
 MSE = {"_target_": "cophy.training.losses.squared_error"}  # conf/loss/mse.yaml, and the loss of earlier versions
 
@@ -31,7 +32,7 @@ def squared_error(
 def position_loss(prediction: Prediction, targets: Targets, loss: PositionLoss = squared_error) -> Float[Tensor, ""]:
     """Mean of a loss of positions, over coordinates, present objects and steps; with the squared error it is L_mse.
 
-    In empty slots the loss gets zeros, and what it returns there does not count.
+    In empty slots the loss gets zeros, and what it returns there does not count. It may return fewer steps.
 
     Raises:
         CophyError: It returns another shape.
@@ -39,14 +40,14 @@ def position_loss(prediction: Prediction, targets: Targets, loss: PositionLoss =
     present = targets.presence[:, None, :, None]
     predicted, target = (torch.where(present, each, 0.0) for each in (prediction.position, targets.position))
     values = loss(predicted, target)
-    shapes = (target.shape, target.shape[:-1])
-    if not isinstance(values, Tensor) or values.shape not in shapes:
-        returned = f"shape {tuple(values.shape)}" if isinstance(values, Tensor) else type(values).__name__
+    shape = tuple(values.shape) if isinstance(values, Tensor) else type(values).__name__
+    size, slots = targets.presence.shape
+    if not isinstance(shape, tuple) or shape not in [(size, *shape[1:2], slots, *last) for last in ((3,), ())]:
         raise CophyError(
-            f"training.loss returns {returned}, not a value for each coordinate or object, {tuple(shapes[0])} or "
-            f"{tuple(shapes[1])}; a loss of torch needs reduction: none"
+            f"training.loss returns {shape}, not values of steps for each coordinate or object, ({size}, S, {slots}, 3) or "
+            f"({size}, S, {slots}); a loss of torch needs reduction: none"
         )
-    return masked_mean(values.mean(dim=-1) if values.shape == shapes[0] else values, targets.presence)
+    return masked_mean(values.mean(dim=-1) if len(shape) == 4 else values, targets.presence)
 
 
 def stability_loss(logit: Float[Tensor, "batch steps_or_one slots"], targets: Targets) -> Float[Tensor, ""]:
