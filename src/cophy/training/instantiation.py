@@ -24,7 +24,7 @@ def instantiate_key(key: str, arguments: dict[str, Any], **more: Any) -> Any:
         if isinstance(cause, ModuleNotFoundError):
             raise CophyError(f"{key} needs another package: {cause}") from error
         message = " ".join(str(cause or error).split())
-        hint = " Is its folder on PYTHONPATH?" if "ModuleNotFoundError" in message else ""
+        hint = " Is its folder on PYTHONPATH?" if "that module" in message else ""
         raise CophyError(f"{key}: {message}{hint}") from error
 
 
