@@ -182,8 +182,8 @@ OWN_FOLDER = " (your own folder: --config-dir)"  # where else the file of a choi
 IN_A_FILE = re.compile(r"In '(\w+)/([\w/]+)': \w+ raised while composing config:\s*(.*?)\s*(full_key|$)")
 LOGGING_ERROR = "Unable to configure "  # Python's, before a run begins
 PACKAGES = {  # first lines of the files in these groups; those of ablations and rows have _global_
-    **dict.fromkeys(("optimizer", "schedule"), "training.{group}"),
-    **{"callbacks": "training.callbacks.{name}", "logger": "logger.{name}"},
+    **dict.fromkeys(("loss", "optimizer", "schedule"), "training.{group}"),
+    **{"callbacks": "training.callbacks.{name}", **dict.fromkeys(("logger", "metrics"), "{group}.{name}")},
 }
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
 OF_DISKS = (*FULL_DISK, errno.EIO, errno.EROFS, errno.EFBIG, errno.ESTALE)  # errors of writing may name no file
@@ -237,6 +237,8 @@ def explain(error: BaseException) -> str:
         return f"{missing}= has no value; --help says what it is"
     if isinstance(cause, OmegaConfBaseException) and cause.key is not None:
         what = (cause.msg or str(cause)).splitlines()[0]
+        if what.endswith("is not a ListConfig, list or tuple."):
+            return f"{cause.full_key}={cause.value} must be a list: '{cause.full_key}=[{cause.value}]'"
         if what.startswith(OF_RESOLVER):
             return what.removeprefix(OF_RESOLVER)
         return f"{cause.full_key or cause.key}: {what}{_suggest_key(str(cause.key), cause.parent_node)}"

@@ -182,7 +182,7 @@ def _compose_data(scenario: str, size: str, sources: str) -> dict[str, Any]:
 # The variant of a run
 
 PATH_GROUPS = ("scenario", "split", "model", "ablation", "source")  # groups whose choices are parts of the path
-CHOICES = ("size", "confounders", "trainer", "optimizer", "schedule")  # groups whose choice is shorter than its keys
+CHOICES = ("size", "confounders", "trainer", "loss", "optimizer", "schedule")  # the choice is shorter than its keys
 COMPARED = ("size", "data_seed", "scenario", "split", "model", "training", "trainer", "derenderer")
 COMPARED_FOR_DERENDERERS = ("render", "num_images", "num_objects")
 LONGEST = 100  # characters; file systems allow 255

@@ -6,6 +6,7 @@ from typing import Any
 
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
+from torch import nn
 
 from cophy.cli import OWN_FOLDER, explain
 from cophy.config import experiments_of, settings
@@ -94,13 +95,14 @@ def _quoted(path: str | Path) -> str:
     return f"'{escaped}'"
 
 
-def load_predictor(checkpoint: str | Path) -> TrainedPredictor:
+def load_predictor(checkpoint: str | Path, *, model_class: type[nn.Module] | None = None) -> TrainedPredictor:
     """Return a trained predictor: a function from a batch of experiments to predictions of D.
 
     Args:
         checkpoint: A checkpoint of train.py, for example outputs/…/checkpoints/best.ckpt. Reading it runs no code in it.
+        model_class: The class of a model of your own. Its arguments and weights come from the checkpoint; its code runs.
 
     Raises:
-        CophyError: The file is something else, or its predictor needs the true confounders.
+        CophyError: The file is something else, or of another class, or its predictor needs the true confounders.
     """
-    return TrainedPredictor(Path(checkpoint), SCENARIOS)
+    return TrainedPredictor(Path(checkpoint), SCENARIOS, model_class)

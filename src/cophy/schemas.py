@@ -20,6 +20,7 @@ from cophy.dataset.experiment_set import FRAMES
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
+from cophy.errors import check_name
 from cophy.oracles.forecasts import ORACLES, OracleSettings
 from cophy.released.states import ReleasedSource
 from cophy.report.paper_tables import register_tables
@@ -242,7 +243,7 @@ class TrainConfig(RenderDataConfig):
 
     seed: that of the training. render, num_images, num_objects: training data of a de-renderer. derenderer: checkpoint
     of the one whose estimates a predictor sees; None for the one in outputs/ that fits. model: keys of a schema, or
-    any keys for a model of the user. logger: a `_target_` and its arguments each.
+    any keys for a model of the user. logger, metrics: a `_target_` and its arguments each, by name.
     """
 
     source: Source = MISSING
@@ -250,6 +251,7 @@ class TrainConfig(RenderDataConfig):
     training: Training = MISSING
     trainer: TrainerConfig = MISSING
     logger: dict[str, Any] = field(default_factory=dict)
+    metrics: dict[str, Any] = field(default_factory=dict)
     positions: str = MISSING
     num_images: int = MISSING
     derenderer: str | None = None
@@ -267,11 +269,13 @@ class TrainConfig(RenderDataConfig):
         _check_range("threads", self.threads, 1, MAX_THREADS)
         _check_range("figures_every_n_epochs", self.figures_every_n_epochs, 1)
         _check_range("num_images", self.num_images, 10)
-        for name, keys in self.logger.items():
-            if not isinstance(keys, dict):
-                raise ValueError(
-                    f"logger.{name} is no logger: its YAML starts with the line '# @package logger.<name>'"
-                )
+        for group in ("logger", "metrics"):
+            for name, keys in getattr(self, group).items():
+                check_name(group, name)
+                if not isinstance(keys, dict):
+                    raise ValueError(
+                        f"{group}.{name} is no block with a _target_: its YAML starts with the line '# @package {group}.<name>'"
+                    )
         if self.ckpt is not None and self.predictor is not None:
             raise ValueError("ckpt= resumes a training, predictor= replaces one: give one of them")
         if self.ckpt is None:
@@ -294,6 +298,7 @@ class PredictConfig:
     background: str | None = None
     derenderer: str = MISSING
     predictor: str = MISSING
+    model_class: str | None = None
     directory: str = MISSING
 
     def __post_init__(self) -> None:

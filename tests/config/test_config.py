@@ -161,6 +161,15 @@ MISTAKES = {
     "positions=guessed": "positions=guessed is not among ground_truth",
     "scenario=blocktower confounders=released": "confounders= does not go with this scenario, which has one grid; it goes with balls and collision",
     "scenario=balls confounders=relesed": "confounders=relesed does not exist (did you mean released?); there are released, text",
+    "num_objects=5": "num_objects=5 must be a list: 'num_objects=[5]'",
+    "scenario.num_objects=[3,4,5]": "blocktower has 4 colours, and every object of an experiment needs its own: add '+scenario.colors.NAME=",
+    "metrics.height=1 +metrics.x._target_=x": "Key 'height' is not in struct",
+    "+metrics.height=1": "metrics.height is no block with a _target_: its YAML starts with the line '# @package metrics.<name>'",
+    "+metrics.mse._target_=torch.dist": "metrics.mse: there is a metric or loss of this name; choose another name",
+    "loss=hubre": "loss=hubre does not exist (did you mean huber?); there are huber, mse",
+    "training.loss._target_=mine.loss": "Is its folder on PYTHONPATH?",
+    "loss=huber +training.loss.width=1": "got an unexpected keyword argument 'width'",
+    "model=derenderer loss=huber": "loss= and metrics= are for predictors of D",
     "scenario=collision split=3to4": "split=3to4 does not go with collision: use all, sphere_to_cylinder, cylinder_to_sphere",
     "model=copy_c ablation=static_gating": "ablation=static_gating does not go with this model: Key 'gating' not in 'CopyC'",
     "model=in ablation=feedforward": "ablation=feedforward does not go with this model: Invalid value 'none'",
@@ -227,18 +236,18 @@ MISTAKES = {
     "scenario.confounders.mass=[1e30]": "mass must be > 0 and at most 1e+06 kg",
     "scenario.task.metric_dims=0": "scenario.task.metric_dims=0 must be 1, 2 or 3",
     "size.num_experiments.blocktower.3=9223372036854775806": "9223372036854775806 experiments are more than 10,000,000",
-    "logger=[] +logger._target_=x": "logger._target_ is no logger: its YAML starts with the line",
+    "logger=[] +logger._target_=x": "logger._target_ is no block with a _target_: its YAML starts with the line",
 }
 
 
 # found only when a run starts, because constructors and Lightning refuse them
 IN_A_RUN = re.compile(
-    r".*(_target_|ckpt|predictor|logger|hidden_dim=0|npe model|interaction=mlp|max_epoch=3 |trainer.max_epoch=|schedule"
+    r".*(_target_|ckpt|predictor|logger|width=1|derenderer loss|hidden_dim=0|npe model|interaction=mlp|max_epoch=3 |trainer.max_epoch=|schedule"
     r"|supervised|hydra\.|.*~trainer|accumulate|split=3to4|friction|positions=.* model)"
 )
 COMPOSED = [mistake for mistake in MISTAKES if not IN_A_RUN.match(mistake)]
 SLOW = re.compile(
-    r".*(collections|README|nowhere|positions=train|mine|predictor=a.ckpt model|Adan|max_epoch=3)"
+    r".*(collections|mine.loss|derenderer loss|README|nowhere|positions=train|mine|predictor=a.ckpt model|Adan|max_epoch=3)"
 )  # as others
 
 
@@ -258,6 +267,7 @@ def test_a_mistake_ends_composing_with_one_line(mistake: str) -> None:
     [
         *(("optimizer=mine", "training.optimizer"), ("schedule=mine", "training.schedule")),
         *(("callbacks=[mine]", "training.callbacks.mine"), ("logger=[mine]", "logger.<name>")),
+        *(("loss=mine", "training.loss"), ("metrics=[mine]", "metrics.<name>")),
     ],
 )
 def test_a_file_of_the_user_without_its_package_line_is_named(override: str, package: str, tmp_path: Path) -> None:

@@ -50,7 +50,9 @@ def test_choices_come_first_then_keys_in_their_order() -> None:
     stopping = variant_of("callbacks=early_stopping")
     assert re.fullmatch(r"\+early_stopping-\w{6}", stopping)
     assert stopping == variant_of("callbacks=[early_stopping]") != variant_of("callbacks=early_stopping", PATIENT)
+    assert variant_of("loss=huber", "training.loss.delta=2") == "+loss-huber+delta-2"
     assert variant_of("logger=[tensorboard,csv]") == ""
+    assert variant_of("+metrics.height._target_=mine.height") == ""  # of a test, which is always repeated
     assert variant_of("+trainer.accumulate_grad_batches=2") == "+accumulate_grad_batches-2"
 
 

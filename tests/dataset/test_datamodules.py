@@ -126,7 +126,7 @@ def test_a_split_is_made_of_what_is_stored_although_states_between_frames_are_dr
 
     data = fed(tiny_data)
     stored = data.train_set.load()
-    rows = data.split.train.select_split(stored, "train")
+    rows = data.split.train.select_split(stored, "train", data.scenario)
     expected = to_batch({name: array[rows] for name, array in stored.items()}, data.scenario)
     map_tensors(same, data.train.batch, expected)
 

@@ -1,9 +1,12 @@
+from typing import Any
+
 import numpy as np
 import pytest
 import yaml
 
-from cophy.config import CONF
+from cophy.config import CONF, settings
 from cophy.dataset.splits import SPLITS, Part, Split, StoredOrder, stored_order
+from cophy.errors import CophyError
 
 
 def order_of(num_experiments: int, **changed: int) -> StoredOrder:
@@ -48,15 +51,15 @@ def test_the_moving_object_selects_its_experiments(tiny) -> None:
     spec, arrays = tiny
     if spec.scenario.name != "collision":
         pytest.skip("collision only")
-    sphere, cylinder = (Part(2, moving=shape).select(arrays) for shape in ("sphere", "cylinder"))
+    sphere, cylinder = (Part(2, moving=shape).select(arrays, spec.scenario) for shape in ("sphere", "cylinder"))
     np.testing.assert_array_equal(sphere, ~cylinder)
     names = np.array(spec.scenario.cells())[arrays["cell"]]
     np.testing.assert_array_equal(sphere, np.char.startswith(names, "sphere"))
 
 
 def test_seen_and_unseen_configurations_never_meet(tiny) -> None:
-    _, arrays = tiny
-    seen, unseen = (Part(3, configurations=which).select(arrays) for which in ("seen", "unseen"))
+    spec, arrays = tiny
+    seen, unseen = (Part(3, configurations=which).select(arrays, spec.scenario) for which in ("seen", "unseen"))
     np.testing.assert_array_equal(seen, ~unseen)
     assert not set(arrays["configuration"][seen]) & set(arrays["configuration"][unseen])
     np.testing.assert_array_equal(seen[::2], seen[1::2])
@@ -74,5 +77,71 @@ def test_every_split_tests_something_at_the_smallest_size(tiny) -> None:
         keys = yaml.safe_load((CONF / "split" / f"{name}.yaml").read_text())
         split = Split(name, Part(**keys["train"]), Part(**keys["test"]))
         parts = {"train": split.train, "val": split.train, "test": split.test}
-        counts = {which: part.select_split(arrays, which).sum() for which, part in parts.items()}
+        counts = {which: part.select_split(arrays, which, spec.scenario).sum() for which, part in parts.items()}
         assert min(counts.values()) > 0, (name, counts)
+
+
+def test_every_object_has_one_of_the_values(tiny) -> None:
+    spec, arrays = tiny
+    grid, present = spec.scenario.confounders, arrays["presence"].any(axis=1)
+    heavy, first = Part(3, where={"mass": max(grid.mass)}), Part(3, where={"friction": grid.friction[:2]})
+    for row in range(len(arrays["split"])):
+        mass, friction = (arrays[name][row, present[row]] for name in ("mass", "friction"))
+        assert heavy.select(arrays, spec.scenario)[row] == (mass == np.float32(max(grid.mass))).all()
+        assert first.select(arrays, spec.scenario)[row] == np.isin(friction, np.float32(grid.friction[:2])).all()
+    both = Part(3, where=heavy.where | first.where).select(arrays, spec.scenario)
+    np.testing.assert_array_equal(both, heavy.select(arrays, spec.scenario) & first.select(arrays, spec.scenario))
+
+
+def test_gravity_cells_and_do_operations_select_experiments(tiny) -> None:
+    spec, arrays = tiny
+    scenario = spec.scenario
+    upright = Part(3, where={"gravity_x": 0}).select(arrays, scenario)
+    np.testing.assert_array_equal(upright, arrays["gravity"][:, 0] == 0)
+    for key, names in (("cell", scenario.cells()), ("do_operation", scenario.do_operations)):
+        for index, name in enumerate(names):
+            selected = Part(3, **{key: name}).select(arrays, scenario)
+            np.testing.assert_array_equal(selected, arrays[key] == index)
+        assert Part(3, **{key: list(names)}).select(arrays, scenario).all()
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        (
+            {"where": {"masses": [1]}},
+            r"split\.train\.where\.masses does not exist; there are mass, friction, restitution, gr",
+        ),
+        ({"where": {"mass": [1, 7]}}, r"split\.train\.where\.mass=7\.0 does not exist; collision has 1, 2, 5"),
+        (
+            {"cell": ["sphere_cube"]},
+            r"split\.train\.cell=sphere_cube does not exist; collision has sphere_sphere, sphere_cyl",
+        ),
+        (
+            {"do_operation": "remove"},
+            r"split\.train\.do_operation=remove does not exist; collision has displace_moving",
+        ),
+    ],
+)
+def test_what_the_scenario_does_not_have_is_named(keys: dict[str, Any], message: str, scenario_of) -> None:
+    split = Split("mine", Part(2, **keys), Part(2), scenario="collision")
+    with pytest.raises(CophyError, match=message):
+        split.check_scenario(scenario_of("collision"))
+
+
+def test_a_split_of_the_user_says_its_scenario(scenario_of) -> None:
+    Split("mine", Part(2), Part(2), scenario="collision").check_scenario(scenario_of("collision"))
+    for scenario in (None, "balls"):
+        with pytest.raises(
+            CophyError, match=r"split=mine does not go with collision: .*needs the line `scenario: coll"
+        ):
+            Split("mine", Part(2), Part(2), scenario=scenario).check_scenario(scenario_of("collision"))
+
+
+def test_splits_of_the_repository_have_the_conditions_that_checkpoints_have_always_stored(scenario_of) -> None:
+    for name in ("blocktower", "balls", "collision"):
+        for choice in scenario_of(name).task.splits:
+            split = settings("generate", f"scenario={name}", f"split={choice}").split
+            for part in (split.train, split.test):
+                assert part.as_plain().keys() == {"num_objects", "moving", "configurations"}
+    assert Part(2, where={"mass": 5}).as_plain() == {**Part(2).as_plain(), "where": {"mass": [5.0]}}

@@ -19,7 +19,13 @@ def blocks(language: str) -> list[str]:
 
 @pytest.mark.slow
 def test_the_model_of_the_page_trains_and_appears_in_the_report(tiny_data: Path, tmp_path: Path) -> None:
-    for name, content in [("drift.py", blocks("python")[0]), ("conf/model/drift.yaml", blocks("yaml")[0])]:
+    python, yaml = blocks("python"), blocks("yaml")
+    files = {
+        **{"drift.py": python[0], "my_losses/late.py": python[1], "my_metrics/heights.py": python[2]},
+        **{"conf/model/drift.yaml": yaml[0], "conf/loss/late.yaml": yaml[1], "conf/metrics/final_height.yaml": yaml[2]},
+        "conf/split/heavy_to_light.yaml": yaml[4],
+    }
+    for name, content in files.items():
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(content)
@@ -41,5 +47,14 @@ def test_the_model_of_the_page_trains_and_appears_in_the_report(tiny_data: Path,
     metrics = json.loads((row / "metrics.json").read_text())
     assert metrics["model"] == "drift"
     assert metrics["metrics"]["mse"] > 0
+    command(
+        *("train.py", "scenario=collision", "model=drift", "size=tiny", f"data_dir={tiny_data}"),
+        *("split=heavy_to_light", "loss=late", "metrics=final_height", "trainer.max_epochs=2"),
+        f"source.outputs={tmp_path / 'outputs'}",
+    )
+    row = tmp_path / "outputs/collision/heavy_to_light/drift/full/ground_truth/seed0+size-tiny+loss-late+max_epochs-2"
+    metrics = json.loads((row / "metrics.json").read_text())
+    assert metrics["intervals"]["final_height"][0] <= metrics["metrics"]["final_height"]
+    assert metrics["num_train"] < 34  # of all
     command("report.py", f"outputs={tmp_path / 'outputs'}")
     assert "collision all drift full" in (tmp_path / "outputs" / "report" / "tables.md").read_text()

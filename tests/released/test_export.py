@@ -119,9 +119,10 @@ def test_an_export_reads_back_unchanged(name: str, drawn: Any, exported: Any) ->
 @pytest.mark.parametrize(("name", "split"), [("blocktower", "3to3_unseen"), ("collision", "sphere_to_cylinder")])
 def test_lists_of_unseen_experiments_read_back(name: str, split: str, drawn: Any, exported: Any) -> None:
     original, back = drawn(name).states.load(), imported(name, exported(name), split)
-    halves = settings("train", f"scenario={name}", f"split={split}").split
+    config = settings("train", f"scenario={name}", f"split={split}")
+    halves, scenario = config.split, config.scenario
     is_test = original["split"] == 2
-    expected = np.where(is_test, halves.test.select(original), halves.train.select(original))
+    expected = np.where(is_test, halves.test.select(original, scenario), halves.train.select(original, scenario))
     np.testing.assert_array_equal(back["experiment"], np.flatnonzero(expected))
     np.testing.assert_array_equal(back["split"], original["split"][expected])
 

@@ -15,6 +15,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from cophy.config import composed, to_plain
 from cophy.errors import CophyError
 from cophy.training.checkpoints import (
     MAX_VALUES,
@@ -327,8 +328,21 @@ def test_only_what_a_training_continues_from_is_restored(tmp_path: Path) -> None
 
 
 def test_classes_of_other_packages_are_not_restored() -> None:
-    with pytest.raises(CophyError, match=r"only classes of cophy\.models are loaded"):
+    with pytest.raises(CophyError, match=r"whose code runs only if you name it"):
         restored({"_target_": f"{__name__}.Keep", "value": 1}, {})
+
+
+def test_checkpoints_of_earlier_versions_are_of_the_mse(tmp_path: Path) -> None:
+    """They do not state their loss."""
+    model, training = model_of("model=in"), to_plain(composed("train", "scenario=balls"))["training"]
+    weights = weights_of(model)
+    now = saved(tmp_path / "now.ckpt", model, weights, seed=0)
+    del training["loss"]
+    earlier = saved(tmp_path / "earlier.ckpt", model, weights, seed=0, training=training)
+    huber = saved(tmp_path / "huber.ckpt", model, weights, seed=0, training=training | {"loss": {"_target_": "a.b"}})
+    check_trained(earlier, read_checkpoint(read_file(now), now).origin, build_network(model))
+    with pytest.raises(CophyError, match=r"belongs to another training \(training\.loss\._target_=a\.b\)"):
+        check_trained(huber, read_checkpoint(read_file(now), now).origin, build_network(model))
 
 
 @pytest.mark.parametrize("check", [check_resumable, check_trained])

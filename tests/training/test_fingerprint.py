@@ -12,6 +12,8 @@ from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
 from cophy.training import reuse
 from cophy.training.checkpoints import make_origin
+from cophy.training.instantiation import instantiate_function
+from cophy.training.losses import MSE
 from cophy.training.reuse import fingerprint, hash_code, record_finished, start_training
 from cophy.training.run import Run
 
@@ -78,6 +80,19 @@ def test_modules_next_to_a_model_of_the_user_count(tmp_path: Path, monkeypatch: 
     (tmp_path / "helper.py").write_text("SCALE = 2\n")
     assert hash_code(module.Net()) != before
     del sys.modules["users_model"]
+
+
+def test_modules_next_to_a_loss_of_the_user_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "users_loss.py").write_text(
+        "def double(predicted, target, factor): return factor * (predicted - target)\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    loss = instantiate_function("training.loss", {"_target_": "users_loss.double", "factor": 2})
+    before = hash_code(CopyC(), loss)
+    assert before != hash_code(CopyC(), instantiate_function("training.loss", MSE))
+    (tmp_path / "users_loss.py").write_text("def double(predicted, target, factor): return predicted - target\n")
+    assert hash_code(CopyC(), loss) != before
+    del sys.modules["users_loss"]
 
 
 @pytest.fixture

@@ -1,10 +1,13 @@
 """Metrics in training and losses against values worked out by hand, and the scores of a test split."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from cophy.errors import CophyError
 from cophy.scenario import Task
@@ -13,6 +16,7 @@ from cophy.training.metrics import (
     MeanOfEachCell,
     StandingConfusion,
     collection,
+    own_measures,
     position_measures,
     stability_measures,
     twin_collection,
@@ -122,6 +126,70 @@ def test_losses_ignore_empty_slots() -> None:
     empty = ~targets().presence[:, None, :, None]
     nonsense = replace(prediction(), position=prediction().position.masked_fill(empty, torch.nan))
     assert position_loss(nonsense, targets()) == position_loss(prediction(), targets())
+
+
+@pytest.mark.parametrize("reduce", [lambda values: values, lambda values: values.mean(dim=-1)])
+def test_a_loss_of_the_user_gets_present_objects_alone(reduce: Callable[[Tensor], Tensor]) -> None:
+    """Whatever the empty slots hold, neither its value nor its gradient depends on them."""
+    empty = ~targets().presence[:, None, :, None]
+    position = prediction().position.masked_fill(empty, torch.nan).requires_grad_()
+
+    def root(predicted: Tensor, target: Tensor) -> Tensor:
+        return reduce((predicted - target).square().sqrt())  # with an infinite gradient at 0
+
+    loss = position_loss(replace(prediction(), position=position), targets(), root)
+    expected = (prediction().position - targets().position).abs().mean(dim=-1)
+    assert loss.item() == pytest.approx(expected[targets().presence[:, None].expand_as(expected)].mean().item())
+    loss.backward()
+    assert (position.grad[empty.expand_as(position)] == 0).all()
+
+
+def test_a_loss_of_the_user_may_leave_steps_out() -> None:
+    error = prediction().position - targets().position
+    last = position_loss(prediction(), targets(), lambda predicted, target: (predicted - target)[:, 1:].square())
+    assert last.item() == pytest.approx(error[:, 1][targets().presence].square().mean().item())
+
+
+@pytest.mark.parametrize("wrong", [torch.Tensor.mean, torch.Tensor.tolist, lambda values: values[0]])
+def test_a_loss_of_another_shape_is_refused(wrong: Callable[[Tensor], Any]) -> None:
+    with pytest.raises(CophyError, match=r"training\.loss returns .*, not values of steps for each coordinate"):
+        position_loss(prediction(), targets(), lambda predicted, target: wrong(predicted - target))
+
+
+def last_height(prediction: Prediction, targets: Targets, *, sign: int = 1) -> Tensor:
+    """A metric of the user: the sum of predicted heights at the last step."""
+    return sign * prediction.position[:, -1, :, 2].sum(dim=1)
+
+
+OWN = {"_target_": f"{__name__}.last_height"}
+
+
+def test_a_metric_of_the_user_gets_empty_slots_as_zeros() -> None:
+    measure = own_measures({"height": OWN | {"sign": -1}}, ())["height"]
+    empty = ~targets().presence[:, None, :, None]
+    nonsense = replace(prediction(), position=prediction().position.masked_fill(empty, torch.nan))
+    expected = -(prediction().position * ~empty)[:, -1, :, 2].sum(dim=1)
+    torch.testing.assert_close(measure(nonsense, targets()), expected.double())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda prediction, targets: prediction.position.mean(), r"returns shape \(\), not one value for each of 2"),
+        (lambda prediction, targets: [1.0, 2.0], r"returns list, not one value"),
+        (lambda prediction, targets: np.array([1.0, np.nan]), r"is not finite in 1 of 2 experiments"),
+    ],
+)
+def test_a_metric_of_another_kind_is_refused(wrong: Any, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "last_height", wrong)
+    with pytest.raises(CophyError, match=rf"metrics\.height {message}"):
+        own_measures({"height": OWN}, ())["height"](prediction(), targets())
+
+
+@pytest.mark.parametrize("name", ["mse", "position_loss", "pixel_error", "probe_accuracy"])
+def test_a_name_of_another_metric_is_refused(name: str) -> None:
+    with pytest.raises(CophyError, match=rf"metrics\.{name}: there is a metric or loss of this name"):
+        own_measures({name: OWN}, ("mse",))
 
 
 def test_one_logit_per_sequence_predicts_being_always_stable() -> None:

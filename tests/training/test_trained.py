@@ -9,6 +9,7 @@ import torch
 
 from cophy.config import composed, to_plain
 from cophy.errors import CophyError
+from cophy.models.baselines import CopyC
 from cophy.schemas import SCENARIOS
 from cophy.training.trained import (
     DERENDERER,
@@ -42,9 +43,13 @@ def test_a_checkpoint_holds_its_network_and_its_scenario(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"_target_": "os.system"}, r"only predictors of cophy\.models are loaded"),
-        ({"_target_": "cophy.training.trained.derender"}, r"only predictors of cophy\.models are loaded"),
-        ({"_target_": DERENDERER}, r"only predictors of cophy\.models are loaded"),
+        (
+            {"_target_": "os.system"},
+            r"of os\.system, whose code runs only if you name it: append model_class=os\.system",
+        ),
+        ({"_target_": "cophy.training.trained.derender"}, r"whose code runs only if you name it"),
+        ({"_target_": "drift.Drift; run me"}, "model._target_ is not the name of a class"),
+        ({"_target_": DERENDERER}, "is a checkpoint of a de-renderer, not of a predictor"),
         ({"_target_": "cophy.models.cophynet.torch.hub.load"}, "cannot be imported"),
         ({"confounders": "ground_truth"}, "needs the true confounders"),
         ({"object_type": True}, "has model.object_type=true, which no de-renderer estimates"),
@@ -61,6 +66,28 @@ def test_a_checkpoint_of_anything_else_is_refused(tmp_path: Path, changes: dict[
     path = saved(tmp_path / "a.ckpt", SMALL | changes, weights_of(SMALL))
     with pytest.raises(CophyError, match=message):
         predictor_of(path)
+
+
+class Scaled(CopyC):
+    """A model of the user."""
+
+    def __init__(self, *, seed: int) -> None:
+        super().__init__()
+        self.scale, self.seed = torch.nn.Parameter(torch.ones(())), seed
+
+
+def test_a_model_of_the_user_is_loaded_if_its_class_is_named(tmp_path: Path) -> None:
+    model = {"_target_": "moved.elsewhere.Scaled", "seed": 10**6}
+    path = saved(tmp_path / "a.ckpt", model, {"scale": torch.tensor(3.0)})
+    with pytest.raises(CophyError, match=r"append model_class=moved\.elsewhere\.Scaled"):
+        predictor_of(path)
+    with pytest.raises(CophyError, match=r"of moved\.elsewhere\.Scaled, not of model_class=CopyC"):
+        TrainedPredictor(path, SCENARIOS, CopyC)
+    network = TrainedPredictor(path, SCENARIOS, Scaled).network
+    assert (type(network), network.scale.item(), network.seed, network.training) == (Scaled, 3.0, 10**6, False)
+    for change, weights in (({"sed": 1}, {"scale": torch.ones(())}), ({}, {"scale": torch.ones(2)})):
+        with pytest.raises(CophyError, match=MISFIT):
+            TrainedPredictor(saved(tmp_path / "b.ckpt", model | change, weights), SCENARIOS, Scaled)
 
 
 @pytest.mark.parametrize(("changes", "message"), NONSENSE)

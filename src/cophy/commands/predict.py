@@ -16,11 +16,14 @@ log = logging.getLogger(__name__)
 def main(cfg: DictConfig) -> None:
     from cophy.drawing.counterfactual import write_counterfactual
     from cophy.drawing.files import read_frames
+    from cophy.training.checkpoints import import_network_class
     from cophy.training.trained import TrainedDerenderer, TrainedPredictor, check_pair, predict
 
     settings = to_config(cfg, PredictConfig)
     derenderer = TrainedDerenderer(Path(settings.derenderer))
-    predictor = TrainedPredictor(Path(settings.predictor), SCENARIOS)
+    name = settings.model_class
+    model_class = None if name is None else import_network_class("model_class", name)
+    predictor = TrainedPredictor(Path(settings.predictor), SCENARIOS, model_class)
     check_pair(derenderer, predictor)
     rate = predictor.scenario.clock.frame_rate_hz
     observed = read_frames(Path(settings.observed), frame_rate_hz=rate)

@@ -51,7 +51,7 @@ def main(cfg: DictConfig) -> float:
     if is_rank_zero() and not in_parallel and not config.trainer.fast_dev_run:
         from cophy.report.run_summary import show_results
 
-        show_results(run)
+        show_results(run, [*config.metrics])
     if validation and cfg.optimized_metric not in validation:
         raise CophyError(f"optimized_metric={cfg.optimized_metric} is not among {', '.join(sorted(validation))}")
     return validation.get(cfg.optimized_metric, math.nan)
@@ -110,7 +110,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     arguments = plain["trainer"] | {"max_epochs": num_epochs(config, network)}
     figures = module.make_figures(config.figures_every_n_epochs)
     trainer = make_trainer(run, origin, figures, loggers=config.logger, arguments=arguments)
-    code = hash_code(network)
+    code = hash_code(network, getattr(module, "position_loss", None))
 
     with finishing(trainer.loggers):
         data.prepare_data()
@@ -139,7 +139,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
             # also draws the validation figures of a training that is not repeated
             with restoring(trainer, tested):
                 validation = trainer.validate(module, data, ckpt_path=tested, weights_only=True, verbose=False)
-            facts["validation"] = facts["validation"] or dict(validation[0])
+            facts["validation"] = dict(validation[0]) | facts["validation"]  # metrics that are new are added
         with restoring(trainer, tested):
             trainer.test(module, data, ckpt_path=tested, weights_only=True, verbose=False)
 
@@ -212,11 +212,14 @@ def make_module(network: "nn.Module", config: TrainConfig) -> "PredictionModule 
     """Wrap a network in the Lightning module that trains and tests it: its `module_class`, if it has one, as oracles do."""
     from cophy.models.derenderer import Derenderer
     from cophy.training import DerenderingModule, PredictionModule
+    from cophy.training.losses import MSE
 
     if isinstance(network, Derenderer):
+        if config.metrics or config.training.loss != MSE:
+            raise CophyError("loss= and metrics= are for predictors of D, and this model is a de-renderer")
         return DerenderingModule(network, config.training)
     module_class = getattr(network, "module_class", PredictionModule)
-    return module_class(network, config.training, config.scenario, seed=config.seed)
+    return module_class(network, config.training, config.scenario, seed=config.seed, metrics=config.metrics)
 
 
 def is_trainable(network: "nn.Module") -> bool:

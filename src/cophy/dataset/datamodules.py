@@ -173,7 +173,7 @@ class CounterfactualDataModule(L.LightningDataModule):
         """Everything that the training batches depend on, as plain values."""
         derenderer = self.derenderer.name if self.derenderer and "train" in self.estimated else None
         task = {key: value for key, value in asdict(self.scenario.task).items() if key != "splits"}  # names, no data
-        return [self.train_set.id, asdict(self.split.train), task, derenderer]
+        return [self.train_set.id, self.split.train.as_plain(), task, derenderer]
 
     def training_checksums(self) -> dict[str, Any]:
         """Return the checksums of the shards that training reads."""
@@ -230,18 +230,22 @@ class CounterfactualDataModule(L.LightningDataModule):
     def _rows(self, stored: dict[str, Arrays], split: str) -> np.ndarray:
         """Return the indices of a split's experiments in their dataset."""
         experiments, part = self._set_of(split), self.split.test if split == "test" else self.split.train
-        rows = np.flatnonzero(part.select_split(stored[experiments.id], split))
+        arrays = stored[experiments.id]
+        rows = np.flatnonzero(part.select_split(arrays, split, self.scenario))
         if not len(rows):
+            in_split, masks = arrays["split"] == SPLITS.index(split), part.conditions(arrays, self.scenario)
+            met = ", ".join(f"{(mask & in_split).sum()} meet {name}" for name, mask in masks.items())
             raise CophyError(
-                f"split={self.split.name} leaves no {split} experiments of {experiments.id}: {experiments.remedy}"
+                f"split={self.split.name} leaves no {split} experiments of {experiments.id} "
+                f"({in_split.sum()} in all{met and f', {met}'}): {experiments.remedy}"
             )
         if split == "val":  # twins next to each other, for the metrics of twins
-            return rows[np.argsort(stored[experiments.id]["twin"][rows], kind="stable")]
+            return rows[np.argsort(arrays["twin"][rows], kind="stable")]
         if split != "train" or self.num_experiments is None:
             return rows
         if self.num_experiments > len(rows):
             raise CophyError(f"training.num_experiments={self.num_experiments}: there are {len(rows)} to train on")
-        pairs = np.argsort(stored[experiments.id]["twin"][rows], kind="stable")  # whole twin pairs, in random order
+        pairs = np.argsort(arrays["twin"][rows], kind="stable")  # whole twin pairs, in random order
         return rows[pairs[: self.num_experiments]]
 
     def _set_of(self, split: str) -> ExperimentSet:

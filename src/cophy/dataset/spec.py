@@ -48,11 +48,18 @@ class DatasetSpec:
     overrides: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        if str(self.num_objects) not in self.size.num_experiments.get(self.scenario.name, {}):
-            known = ", ".join(self.size.num_experiments.get(self.scenario.name, {})) or "none"
+        scenario, count = self.scenario, self.num_objects
+        if count not in scenario.num_objects:
+            more = ",".join(map(str, [*scenario.num_objects, count]))
             raise CophyError(
-                f"size {self.size.name} has no count for {self.scenario.name} with {self.num_objects} objects, "
-                f"only for: {known}; see num_objects= and conf/size/{self.size.name}.yaml"
+                f"num_objects={count}: scenario={scenario.name} has {', '.join(map(str, scenario.num_objects))}; "
+                f"for {count}, add 'scenario.num_objects=[{more}]'"
+            )
+        counts = self.size.num_experiments.get(scenario.name, {})
+        if str(count) not in counts:
+            raise CophyError(
+                f"num_objects={count}: size={self.size.name} counts experiments of {scenario.name} with "
+                f"{', '.join(counts) or 'no'} objects; for {count}, add +size.num_experiments.{scenario.name}.{count}=48"
             )
 
     @property

@@ -17,6 +17,7 @@ from cophy.dataset.shards import MAX_FLOAT, Arrays, Field, Fields, empty_arrays,
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS
 from cophy.scenario import Displace, Experiment, Scenario, Shape, Simulator
+from cophy.scenario.confounders import CONFOUNDERS_OF_OBJECTS
 from cophy.scenario.experiment import DoOperation, Remove
 from cophy.scenario.physics import Body, Scene, Trajectory, x_axis, z_axis
 from cophy.scenario.rendering import RenderSettings
@@ -27,7 +28,6 @@ SHAPES = ", ".join(["0: none", *(f"{shape.value}: {shape.name.lower()}" for shap
 TEST_TWINS = "test_twins.csv"  # which test experiments are twins, to score predictions with; models must not see it
 WHICH_SEQUENCE = "sequence 0 is AB, which is observed, and 1 is CD, the counterfactual"
 MAX_STATE = 1e4  # ours, in m, m/s and rad/s: hundreds of times what happens in any scenario
-CONFOUNDERS_OF_OBJECTS = ("mass", "friction", "restitution")
 
 
 def scene_fields(count: int, num_times: int, num_slots: int, *, may_be_nan: bool = False) -> Fields:

@@ -15,24 +15,25 @@ from PIL import ImageColor
 from cophy.atomic_files import check_space, read_json, read_plain, write_atomically
 from cophy.dataset.generation import progress_bar
 from cophy.dataset.images import Images
+from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States, do_operation_of
 from cophy.errors import CophyError
 from cophy.locks import locked
-from cophy.released.formats import SEQUENCE_FOLDERS, TASKS, ReleasedTask
+from cophy.released.formats import SEQUENCE_FOLDERS, TASKS
 from cophy.scenario import Remove, Scenario, Shape
 from cophy.scenario.rendering import NO_OBJECT
 
 log = logging.getLogger(__name__)
 
 
-def _export_lists(arrays: dict[str, np.ndarray], task: ReleasedTask, num_objects: int) -> dict[str, bytes]:
-    """Return the name and the content of each list, for a dataset whose A have this number of objects."""
-    lists = {}
+def _export_lists(arrays: dict[str, np.ndarray], spec: DatasetSpec) -> dict[str, bytes]:
+    """Return the name and the content of each list, for a dataset."""
+    lists, task, num_objects = {}, TASKS[spec.scenario.name], spec.num_objects
     for kind in task.kinds:
         train, test = _parts(kind, num_objects)
         for split, part in zip(SPLITS, (train, train, test), strict=True):
-            rows = np.flatnonzero(part.select_split(arrays, split)).tolist()
+            rows = np.flatnonzero(part.select_split(arrays, split, spec.scenario)).tolist()
             lists[task.list_of(split, num_objects, kind)] = "".join(f"{row}\n" for row in rows).encode()
     return lists
 
@@ -162,9 +163,8 @@ def export(states: States, images: Images | None, root: Path) -> Path:
     if images is not None and not set(images.render.modalities) >= set(NEEDED_MODALITIES):
         raise CophyError("the format holds RGB and segmentation: export with 'render.modalities=[rgb,segmentation]'")
     arrays, spec = states.load(), states.spec
-    task = TASKS[spec.scenario.name]
-    folder = task.directory(root, spec.num_objects)
-    lists = _export_lists(arrays, task, spec.num_objects)
+    folder = TASKS[spec.scenario.name].directory(root, spec.num_objects)
+    lists = _export_lists(arrays, spec)
     _claim(folder, states, images, root / "splits", lists)
     with locked(folder / ".lock", elsewhere="root="):
         for leftover in folder.glob(".*.tmp"):

@@ -186,7 +186,8 @@ class ReleasedStates(ExperimentSet):
         """
         for number, path in enumerate(self.list_paths):
             part = self.split.test if SPLITS[number] == "test" else self.split.train
-            if wrong := ((arrays["split"] == number) & ~part.select(arrays)).sum():
+            fits = part.conditions(arrays, self.spec.scenario).get("moving", np.True_)
+            if wrong := ((arrays["split"] == number) & ~fits).sum():
                 raise CophyError(f"{path}: in {wrong} of the listed experiments the moving object is no {part.moving}")
 
 

@@ -56,7 +56,7 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
     """
     arrays = sort_by_twins(arrays, spec)
     arrays["cluster"] = clusters_of(spec, arrays["experiment"])
-    tested, lines = np.flatnonzero(part.select_split(arrays, "test")), []
+    tested, lines = np.flatnonzero(part.select_split(arrays, "test", spec.scenario)), []
     truth = _truth({name: array[tested] for name, array in arrays.items()}, spec.scenario)
     measures = difficulty(arrays, spec)
     values = {name: measures[name][tested] for name in TITLES if name in measures}

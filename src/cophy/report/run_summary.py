@@ -1,6 +1,6 @@
 """Print the results of a run: its test MSE next to copy baselines, the paper's number and the oracles."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,22 +25,22 @@ IN_PERCENT = {
 }
 
 
-def show_results(run: Run) -> None:
-    """Print a small table of the metrics.json of a finished run, and its path."""
+def show_results(run: Run, own_metrics: Iterable[str] = ()) -> None:
+    """Print a small table of the metrics.json of a finished run with the user's own metrics, and its path."""
     content = read_json(run.directory / METRICS)
     table = Table(
         box=SIMPLE_HEAD, title=f"{run.model} ({run.ablation}) on {run.scenario} {run.split}", title_justify="left"
     )
     table.add_column(f"{content['num_test']} test experiments")
     table.add_column("", justify="right", no_wrap=True)
-    for line in _lines(run, content):
+    for line in _lines(run, content, own_metrics):
         table.add_row(*line)
     console = Console()
     console.print(table)
     console.print(f"Results: {run.directory}", soft_wrap=True, highlight=False)
 
 
-def _lines(run: Run, content: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _lines(run: Run, content: dict[str, Any], own_metrics: Iterable[str]) -> Iterator[tuple[str, str]]:
     metrics, intervals = content["metrics"], content["intervals"]
     low, high = intervals["mse"]
     yield "MSE, m², with 95 % interval", f"{metrics['mse']:.4f} [{low:.4f}, {high:.4f}]"
@@ -52,6 +52,9 @@ def _lines(run: Run, content: dict[str, Any]) -> Iterator[tuple[str, str]]:
         if name in metrics:
             low, high = intervals[name]
             yield title, f"{metrics[name]:.1%} [{low:.1%}, {high:.1%}]"
+    for name in own_metrics:
+        low, high = intervals[name]
+        yield name, f"{metrics[name]:.4f} [{low:.4f}, {high:.4f}]"
     if run.root is None or run.positions != "ground_truth" or run.model.startswith(("oracle", "derenderer")):
         return
     oracles = [_oracle(run.root / run.scenario / run.split / name, content) for name in ENDS_OF_SHARE]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+CONFOUNDERS_OF_OBJECTS = ("mass", "friction", "restitution")  # with a value per object; gravity has one per experiment
 MAX_MASS = 1e6  # kg; ours: Bullet's solver fails long before 1e30
 
 

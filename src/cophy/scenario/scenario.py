@@ -75,6 +75,11 @@ class Scenario(ABC):
             values = list(getattr(self, key))
             if len(values) != 2 or values != sorted(values):
                 raise ValueError(f"scenario.{key}={values} must be two numbers, the smallest and the largest")
+        if max(self.num_objects, default=0) > self.num_slots:
+            raise ValueError(
+                f"scenario.num_objects={list(self.num_objects)}: {self.name} has {self.num_slots} colours, and every object "
+                "of an experiment needs its own: add '+scenario.colors.NAME=\"#rrggbb\"'"
+            )
         for slot, color in self.colors.items():
             if not HEX_COLOR.fullmatch(color):
                 raise ValueError(f'scenario.colors.{slot}={color} must be a colour "#rrggbb"')

@@ -121,7 +121,7 @@ class StudyExperiments:
 
     def _select(self, split: Split, part: str) -> np.ndarray:
         """Return the pairs of a part whose twins both belong to the split's test half."""
-        selected = split.test.select(self.arrays) & (self.arrays["split"] == SPLITS.index(part))
+        selected = split.test.select(self.arrays, self.scenario) & (self.arrays["split"] == SPLITS.index(part))
         return np.flatnonzero(selected.reshape(-1, 2).all(axis=1))
 
     @property

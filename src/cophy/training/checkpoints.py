@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from cophy.atomic_files import write_atomically
 from cophy.dataset.spec import FORMAT_VERSION
 from cophy.errors import CophyError
+from cophy.training.losses import MSE
 
 ORIGIN = "origin"  # the key of a checkpoint for the configuration of its training
 KEYS: dict[str, tuple[type, ...]] = {  # of an origin, with their types
@@ -225,8 +226,11 @@ def _check_origin(origin: Any, source: Path) -> dict[str, Any]:
         for group, key in (("model", "_target_"), ("scenario", "name"), ("split", "name")):
             if not isinstance(origin[group].get(key), str):
                 raise ValueError(f"{group}.{key} is not a name")
+        if not all(map(str.isidentifier, origin["model"]["_target_"].split("."))):
+            raise ValueError("model._target_ is not the name of a class")
     except ValueError as error:
         raise misfit(source, error) from error
+    origin["training"] = {"loss": MSE} | origin["training"]
     if origin["source"].get("name") == "generated" and origin["format"] != FORMAT_VERSION:
         raise CophyError(
             f"{source} was trained by an earlier version (data of format {origin['format']}, now {FORMAT_VERSION}): "
@@ -283,8 +287,8 @@ def _first_line(error: Exception) -> str:
     return (str(error) or type(error).__name__).splitlines()[0][:300]
 
 
-def build_network(model: Mapping[str, Any]) -> nn.Module:
-    """Build the network that `model._target_` names, with the remaining keys as its arguments.
+def build_network(model: Mapping[str, Any], network_class: type[nn.Module] | None = None) -> nn.Module:
+    """Build the network that `model._target_` names, or an object of a given class, with the remaining keys as its arguments.
 
     Nested values stay plain: nothing in them is built, as `model` may come from a checkpoint.
 
@@ -296,7 +300,7 @@ def build_network(model: Mapping[str, Any]) -> nn.Module:
         raise CophyError("model._target_ is missing: it names the class of the model")
     if special := [key for key in arguments if not isinstance(key, str) or key.startswith("_")]:
         raise CophyError(f"model.{special[0]} is not an argument of a network")
-    network_class = _import_class(str(target))
+    network_class = network_class or import_network_class("model._target_", str(target))
     try:
         inspect.signature(network_class).bind(**arguments)
     except TypeError as error:
@@ -309,7 +313,12 @@ def build_network(model: Mapping[str, Any]) -> nn.Module:
         raise CophyError(f"model: not enough memory for a network of this size; see {target}") from error
 
 
-def _import_class(target: str) -> type[nn.Module]:
+def import_network_class(key: str, target: str) -> type[nn.Module]:
+    """Import the class of a network that a key of the configuration names.
+
+    Raises:
+        CophyError: There is no such class.
+    """
     module, _, name = target.rpartition(".")
     try:
         value = getattr(importlib.import_module(module), name, None)
@@ -318,38 +327,53 @@ def _import_class(target: str) -> type[nn.Module]:
         if module and not f"{module}.".startswith(f"{missing}."):  # a module of the user imports something missing
             raise
         hint = f"no module {missing or module} (is its folder on PYTHONPATH?)"
-        raise CophyError(f"model._target_={target} cannot be imported: {hint}") from error
+        raise CophyError(f"{key}={target} cannot be imported: {hint}") from error
     if value is None:
-        raise CophyError(f"model._target_={target} cannot be imported: {module} has no {name}")
+        raise CophyError(f"{key}={target} cannot be imported: {module} has no {name}")
     if not (isinstance(value, type) and issubclass(value, nn.Module)):
-        raise CophyError(f"model._target_={target} is not a torch.nn.Module")
+        raise CophyError(f"{key}={target} is not a torch.nn.Module")
     return value
 
 
-def restore_network(checkpoint: Checkpoint, source: Path) -> nn.Module:
-    """Build the network of a checkpoint, one of cophy.models, with its weights.
+def restore_network(checkpoint: Checkpoint, source: Path, network_class: type[nn.Module] | None = None) -> nn.Module:
+    """Build the network of a checkpoint with its weights.
 
-    Its shapes are compared on the meta device, before memory is allocated.
+    Args:
+        checkpoint: Of a class of cophy.models, whose shapes are compared on the meta device, before memory is allocated; or of
+            `network_class`.
+        source: Where it comes from.
+        network_class: A class of the user, which the user named: a checkpoint never decides what is imported.
 
     Raises:
-        CophyError: The weights do not fit this network as it is now, or its arguments are not those of its class.
+        CophyError: It is of another class, the weights do not fit this network as it is now, or its arguments are not those of
+            its class.
     """
     model, weights = checkpoint.origin["model"], checkpoint.weights
-    if not model["_target_"].startswith(MODELS):
-        raise CophyError(f"{source} is a checkpoint of {model['_target_']}: only classes of cophy.models are loaded")
+    target = model["_target_"]
+    if network_class is not None and target.rpartition(".")[2] != network_class.__name__:  # its file may have moved
+        raise CophyError(f"{source} is a checkpoint of {target}, not of model_class={network_class.__name__}")
+    if network_class is None and not target.startswith(MODELS):
+        raise CophyError(
+            f"{source} is a checkpoint of {target}, whose code runs only if you name it: append model_class={target}"
+        )
     try:
-        for key, value in model.items():
-            if isinstance(value, int) and value > MAX_SIZE:
-                raise ValueError(f"model.{key}={value} is more than {MAX_SIZE}")
-        with torch.device("meta"):
-            expected = build_network(model)
-        if name := _differing_weight(weights, expected.state_dict()):
-            raise ValueError(f"{name} does not fit {model['_target_']} as it is now")
-        network = build_network(model).float()  # whatever the caller's default is
+        if network_class is None:
+            for key, value in model.items():
+                if isinstance(value, int) and value > MAX_SIZE:
+                    raise ValueError(f"model.{key}={value} is more than {MAX_SIZE}")
+            with torch.device("meta"):
+                _check_shapes(weights, build_network(model), target)
+        network = build_network(model, network_class).float()  # whatever the caller's default is
+        _check_shapes(weights, network, target)
         network.load_state_dict(weights)
-    except (CophyError, AssertionError, RuntimeError, TypeError, ValueError) as error:  # constructors of cophy.models
+    except (CophyError, AssertionError, RuntimeError, TypeError, ValueError) as error:  # constructors of networks
         raise misfit(source, error) from error
     return network
+
+
+def _check_shapes(weights: Mapping[str, Tensor], network: nn.Module, target: str) -> None:
+    if name := _differing_weight(weights, network.state_dict()):
+        raise ValueError(f"{name} does not fit {target} as it is now")
 
 
 def _differing_weight(weights: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> str | None:
@@ -418,8 +442,10 @@ def _read(path: Path, key: str, name: str) -> Checkpoint:
 
 
 def _check_weights(source: Path, checkpoint: Checkpoint, network: nn.Module) -> None:
-    if name := _differing_weight(checkpoint.weights, network.state_dict()):
-        raise misfit(source, ValueError(f"{name} does not fit {checkpoint.origin['model']['_target_']} as it is now"))
+    try:
+        _check_shapes(checkpoint.weights, network, checkpoint.origin["model"]["_target_"])
+    except ValueError as error:
+        raise misfit(source, error) from error
 
 
 def _settings(origin: dict[str, Any], *, with_later_keys: bool = True) -> dict[str, Any]:

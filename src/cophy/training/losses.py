@@ -1,13 +1,19 @@
 """The terms of the training loss (paper Sec. 4.2, Training), as means over what is present."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
+from cophy.errors import CophyError
 from cophy.types import Prediction, Targets
+
+# From predicted and true positions (batch, steps, slots, 3), metres, to values (batch, some steps, slots, 3), or without
+# the last axis
+PositionLoss = Callable[[Tensor, Tensor], Tensor]
+MSE = {"_target_": "cophy.training.losses.squared_error"}  # conf/loss/mse.yaml, and the loss of earlier versions
 
 
 def masked_mean(values: Float[Tensor, "batch steps slots"], presence: Bool[Tensor, "batch slots"]) -> Float[Tensor, ""]:
@@ -16,9 +22,32 @@ def masked_mean(values: Float[Tensor, "batch steps slots"], presence: Bool[Tenso
     return torch.where(counted, values, 0.0).sum() / counted.sum()
 
 
-def position_loss(prediction: Prediction, targets: Targets) -> Float[Tensor, ""]:
-    """L_mse: mean squared error of the positions, over coordinates, present objects and steps."""
-    return masked_mean((prediction.position - targets.position).square().mean(dim=-1), targets.presence)
+def squared_error(
+    predicted: Float[Tensor, "batch steps slots 3"], target: Float[Tensor, "batch steps slots 3"]
+) -> Float[Tensor, "batch steps slots 3"]:
+    """Squared error of each coordinate, m² (conf/loss/mse.yaml)."""
+    return (predicted - target).square()
+
+
+def position_loss(prediction: Prediction, targets: Targets, loss: PositionLoss = squared_error) -> Float[Tensor, ""]:
+    """Mean of a loss of positions, over coordinates, present objects and steps; with the squared error it is L_mse.
+
+    In empty slots the loss gets zeros, and what it returns there does not count. It may return fewer steps.
+
+    Raises:
+        CophyError: It returns another shape.
+    """
+    present = targets.presence[:, None, :, None]
+    predicted, target = (torch.where(present, each, 0.0) for each in (prediction.position, targets.position))
+    values = loss(predicted, target)
+    shape = tuple(values.shape) if isinstance(values, Tensor) else type(values).__name__
+    size, slots = targets.presence.shape
+    if not isinstance(shape, tuple) or shape not in [(size, *shape[1:2], slots, *last) for last in ((3,), ())]:
+        raise CophyError(
+            f"training.loss returns {shape}, not values of steps for each coordinate or object, ({size}, S, {slots}, 3) or "
+            f"({size}, S, {slots}); a loss of torch needs reduction: none"
+        )
+    return masked_mean(values.mean(dim=-1) if len(shape) == 4 else values, targets.presence)
 
 
 def stability_loss(logit: Float[Tensor, "batch steps_or_one slots"], targets: Targets) -> Float[Tensor, ""]:

@@ -3,24 +3,61 @@
 Every experiment counts once, whatever its number of objects or its batch.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
-from typing import Generic, NamedTuple, TypeVar
+from functools import partial
+from typing import Any, Generic, NamedTuple, TypeVar
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, distributed
 from torchmetrics import MeanMetric, Metric, MetricCollection
 from torchmetrics.classification import BinaryConfusionMatrix
 
+from cophy.errors import CophyError
 from cophy.scenario import Task
+from cophy.training.instantiation import instantiate_function
 from cophy.types import Batch, Prediction, Targets
 
 PerExperiment = Float[Tensor, "batch"]
 Measure = Callable[[Prediction, Targets], PerExperiment]
 PredictionT = TypeVar("PredictionT")  # `Prediction`, or the output of a de-renderer
 TargetT = TypeVar("TargetT")
+ONLY_IN_TESTS = ("pixel_error", "probe_")  # the first letters of metrics that validation does not have
 NOT_FINITE = "predicts non-finite values: lower training.learning_rate, or look for a division by zero in the model"
+
+
+def own_measures(metrics: Mapping[str, Any], taken: Collection[str]) -> dict[str, Measure]:
+    """Return the metrics of the user by name.
+
+    Args:
+        metrics: `_target_` and arguments of each. It is a function of a Prediction and Targets, in which empty slots are zero,
+            and returns the (batch,) values of the experiments.
+        taken: Names of other metrics.
+
+    Raises:
+        CophyError: A name is taken, or a function cannot be found.
+    """
+    for name in metrics:
+        if name in taken or name.endswith("loss") or name.startswith(ONLY_IN_TESTS):
+            raise CophyError(f"metrics.{name}: there is a metric or loss of this name; choose another name")
+    functions = {name: instantiate_function(f"metrics.{name}", keys) for name, keys in metrics.items()}
+    return {name: partial(_checked_values, name, function) for name, function in functions.items()}
+
+
+def _checked_values(
+    name: str, function: Callable[[Prediction, Targets], Any], prediction: Prediction, targets: Targets
+) -> PerExperiment:
+    position = torch.where(targets.presence[:, None, :, None], prediction.position, 0.0)
+    values = function(replace(prediction, position=position), targets)
+    if not isinstance(values, Tensor | np.ndarray) or tuple(values.shape) != (len(targets),):
+        returned = f"shape {tuple(values.shape)}" if hasattr(values, "shape") else type(values).__name__
+        raise CophyError(f"metrics.{name} returns {returned}, not one value for each of {len(targets)} experiments")
+    values = torch.as_tensor(values).double()
+    if not values.isfinite().all():
+        raise CophyError(f"metrics.{name} is not finite in {(~values.isfinite()).sum()} of {len(values)} experiments")
+    return values
 
 
 class ExperimentMean(MeanMetric, Generic[PredictionT, TargetT]):

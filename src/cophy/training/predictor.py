@@ -1,7 +1,9 @@
 """Stage 2: train and test a predictor of D (paper Sec. 4)."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import lightning as L
 import numpy as np
@@ -18,7 +20,8 @@ from cophy.models.trees import Trees
 from cophy.scenario import Scenario
 from cophy.scoring import Predictions, Truth, score
 from cophy.training.augmentation import add_position_noise, augment, matrices_of
-from cophy.training.losses import confounder_loss, position_loss, stability_loss
+from cophy.training.instantiation import instantiate_function
+from cophy.training.losses import MSE, confounder_loss, position_loss, stability_loss
 from cophy.training.metrics import (
     NOT_FINITE,
     MeanOfEachCell,
@@ -27,6 +30,7 @@ from cophy.training.metrics import (
     gather_devices,
     have_twins,
     mean_squared_error,
+    own_measures,
     place_missed,
     position_measures,
     stability_measures,
@@ -94,17 +98,20 @@ class PredictionModule(L.LightningModule):
         scenario: Scenario,
         *,
         seed: int = 0,
+        metrics: Mapping[str, Any] | None = None,
     ) -> None:
         """Wrap a network.
 
         Args:
             network: From `Inputs` to `Prediction`.
-            training: Weights of the losses, augmentation, optimiser.
+            training: Losses, augmentation, optimiser.
             scenario: Says which coordinates count, and the values of confounders.
             seed: Augmentation and noise are functions of it, the epoch and the step.
+            metrics: Those of the user, see `own_measures`.
         """
         super().__init__()
         self.network, self.training_settings, self.seed = network, training, seed
+        self.position_loss = instantiate_function("training.loss", training.loss or MSE)
         # where objects are predicted that the de-renderer missed in C, metres; see `setup`
         self.register_buffer("missed_position", torch.zeros(3), persistent=False)
         matrices = torch.from_numpy(matrices_of(scenario, training.augmentation)).float()
@@ -117,6 +124,9 @@ class PredictionModule(L.LightningModule):
         self.metrics["in_val_twins"] = twin_collection(scenario.task.metric_dims, "val/")  # training separates twins
         self.cells, self.squared_error = scenario.cells(), mean_squared_error(scenario.task.metric_dims)
         self.mse_of_cells = MeanOfEachCell(len(self.cells))
+        taken = {name.removeprefix("val/") for part in self.metrics.values() for name in part}  # type: ignore[attr-defined]
+        self.own_measures = own_measures(metrics or {}, taken | {f"mse_{cell}" for cell in self.cells})
+        self.metrics["in_val_own"] = collection(self.own_measures, "val/")
         self.confusion = StandingConfusion() if scenario.statics is not None else None
         self.scenario = scenario
 
@@ -151,7 +161,8 @@ class PredictionModule(L.LightningModule):
             arrays, metric_dims=task.metric_dims, by_height=task.by_height, camera=self.scenario.camera
         )
         scores = score(Predictions.from_arrays(arrays), truth)
-        values = scores.values
+        own = {name: measure(prediction, targets).numpy() for name, measure in self.own_measures.items()}
+        values = {**scores.values, **own}
         if prediction.confounder_estimate is not None:
             tested = Probed(prediction.confounder_estimate, targets)
             warn_if_constant(tested)
@@ -248,7 +259,7 @@ class PredictionModule(L.LightningModule):
     def _loss(self, split: str, prediction: Prediction, batch: Batch) -> Float[Tensor, ""]:
         """Log the terms of the loss and return their weighted sum (paper Sec. 4.2, Training)."""
         settings, targets = self.training_settings, batch.targets
-        terms = {"position_loss": (settings.position_weight, position_loss(prediction, targets))}
+        terms = {"position_loss": (settings.position_weight, position_loss(prediction, targets, self.position_loss))}
         if prediction.stable_logit is not None:
             terms["stability_loss"] = settings.stability_weight, stability_loss(prediction.stable_logit, targets)
         if self.confounder_heads is not None:
@@ -262,6 +273,8 @@ class PredictionModule(L.LightningModule):
 
     def _measure(self, split: str, prediction: Prediction, batch: Batch) -> None:
         kinds = ["position"] if prediction.stable_logit is None else ["position", "stability"]
+        if split == "val":
+            kinds.append("own")
         if split == "val" and have_twins(batch.targets.pair):
             kinds.append("twins")
         for kind in kinds:

@@ -11,11 +11,11 @@ import json
 import logging
 import os
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from torch import nn
 
 import cophy
 from cophy.atomic_files import read_json, sha256, write_atomically
@@ -52,15 +52,16 @@ class Start(NamedTuple):
     keeps_curves: bool = False
 
 
-def hash_code(network: nn.Module) -> str:
-    """Hash the source that weights depend on: subpackages of cophy, and the files next to a model of the user.
+def hash_code(*parts: object) -> str:
+    """Hash the source that weights depend on: subpackages of cophy, and the files next to a model or a loss of the user.
 
     Call it before data are generated, so that an edit in the meantime counts for the next command.
     """
     folders = [PACKAGE / name for name in CODE]
-    source = inspect.getsourcefile(type(network))
-    if source and PACKAGE not in Path(source).parents:
-        folders.append(Path(source).parent)
+    for part in parts:
+        source = inspect.getsourcefile(part.func if isinstance(part, partial) else type(part))
+        if source and PACKAGE not in Path(source).parents:
+            folders.append(Path(source).parent)
     paths = [PACKAGE / "types.py", *(path for folder in folders for path in sorted(folder.glob("*.py")))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 

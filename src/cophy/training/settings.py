@@ -24,7 +24,8 @@ class Training:
         position_noise: Largest standard deviation of the noise on positions of AB and C in training, metres; see
             `cophy.training.augmentation.add_position_noise`.
         num_experiments: Use only the first so many training experiments; None for all.
-        optimizer, schedule, callbacks: `_target_` and arguments, as conf/optimizer, conf/schedule and conf/callbacks set them.
+        loss, optimizer, schedule, callbacks: `_target_` and arguments, as the files in conf/loss, conf/optimizer and so on set
+            them.
     """
 
     batch_size: int
@@ -35,6 +36,7 @@ class Training:
     stability_weight: float
     confounder_weight: float
     num_experiments: int | None = None
+    loss: dict[str, Any] = field(default_factory=dict)
     optimizer: dict[str, Any] = field(default_factory=dict)
     schedule: dict[str, Any] = field(default_factory=dict)
     callbacks: dict[str, Any] = field(default_factory=dict)

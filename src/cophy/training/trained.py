@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from torch import Tensor
+from torch import Tensor, nn
 
 from cophy.dataset import generation
 from cophy.dataset.estimates import Estimates
@@ -24,7 +24,7 @@ from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import RenderSettings
-from cophy.training.checkpoints import MODELS, misfit, read_checkpoint, read_file, restore_network
+from cophy.training.checkpoints import misfit, read_checkpoint, read_file, restore_network
 from cophy.training.metrics import NOT_FINITE
 
 DERENDERER = f"{Derenderer.__module__}.{Derenderer.__name__}"
@@ -142,11 +142,12 @@ def _name(content: bytes) -> str:
 
 
 class TrainedPredictor:
-    """A predictor from a checkpoint, in evaluation mode. Only classes of cophy.models are loaded: no other code runs.
+    """A predictor from a checkpoint, in evaluation mode. Only code of cophy.models and of a class that the user names runs.
 
     Args:
         source: The checkpoint.
         scenarios: The classes of scenarios by name.
+        model_class: The class of the checkpoint, for a model of the user.
 
     Attributes:
         source: The checkpoint.
@@ -157,15 +158,14 @@ class TrainedPredictor:
         network: From `Inputs` to `Prediction`.
     """
 
-    def __init__(self, source: Path, scenarios: Mapping[str, type[Scenario]]) -> None:
+    def __init__(
+        self, source: Path, scenarios: Mapping[str, type[Scenario]], model_class: type[nn.Module] | None = None
+    ) -> None:
         checkpoint = read_checkpoint(read_file(source), source)
         origin = checkpoint.origin
         model = origin["model"]
-        target = model["_target_"]
-        if not target.startswith(MODELS) or target == DERENDERER:
-            raise CophyError(
-                f"predictor={source} is a checkpoint of {target}: only predictors of cophy.models are loaded"
-            )
+        if model["_target_"] == DERENDERER:
+            raise CophyError(f"predictor={source} is a checkpoint of a de-renderer, not of a predictor")
         declared = declared_inputs(model)
         if "confounders" in declared:
             raise CophyError(f"predictor={source} needs the true confounders, which no image shows")
@@ -179,7 +179,7 @@ class TrainedPredictor:
         self.scenario: Scenario = _typed(scenarios[name], origin["scenario"], source)
         if model.get("num_frames") not in (None, self.scenario.clock.num_frames):
             raise misfit(source, ValueError(f"model.num_frames={model['num_frames']} is not that of its scenario"))
-        self.network = restore_network(checkpoint, source).eval()
+        self.network = restore_network(checkpoint, source, model_class).eval()
 
     def __call__(self, experiments: Mapping[str, Tensor]) -> Float[Tensor, "batch steps slots 3"]:
         """Predict D of each experiment from AB and C.

@@ -15,9 +15,7 @@ from typing import Any, TypeVar
 import lightning as L
 import torch
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import InstantiationException
 from hydra.types import RunMode
-from hydra.utils import instantiate
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.accelerators import CPUAccelerator
 from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint
@@ -40,6 +38,7 @@ from cophy.training.callbacks import (
     Stopwatch,
 )
 from cophy.training.checkpoints import LOADING_ERRORS, WholeCheckpoints, flatten, misfit
+from cophy.training.instantiation import instantiate_key
 from cophy.training.reuse import Start
 from cophy.training.run import Run, is_rank_zero
 
@@ -76,7 +75,7 @@ def make_trainer(
             file that train.py did not write.
     """
     built_loggers = [
-        _instantiate(f"logger={name}", keys, **_log_directory(run, keys)) for name, keys in loggers.items()
+        instantiate_key(f"logger={name}", keys, **_log_directory(run, keys)) for name, keys in loggers.items()
     ]
     best = ModelCheckpoint(
         run.checkpoints, filename="best", monitor="val/mse", save_weights_only=True, enable_version_counter=False
@@ -88,7 +87,7 @@ def make_trainer(
         *(best, last, StopTogether()),
         *([LearningRateMonitor("epoch")] if loggers else []),
         *(GradientNorm(), figures, BestValidation(best), Stopwatch(str(run.place))),
-        *(_instantiate(f"callbacks={name}", keys) for name, keys in origin["training"]["callbacks"].items()),
+        *(instantiate_key(f"callbacks={name}", keys) for name, keys in origin["training"]["callbacks"].items()),
         ResumeHint(run.checkpoints / "last.ckpt"),
         *([NetworkSize()] if arguments["enable_model_summary"] else []),
     ]
@@ -242,14 +241,3 @@ def _log_directory(run: Run, arguments: dict[str, Any]) -> dict[str, str]:
     if run.root is not None and arguments.get("_target_") == f"{Curves.__module__}.{Curves.__name__}":
         return {"save_dir": str(run.root), "name": f"{arguments['name']}/{run.short_name}"}
     return {"save_dir": str(run.directory)}
-
-
-def _instantiate(key: str, arguments: dict[str, Any], **more: Any) -> Any:
-    """Build what `_target_` names."""
-    try:
-        return instantiate(arguments, **more)
-    except InstantiationException as error:
-        cause = error.__cause__
-        if isinstance(cause, ModuleNotFoundError):
-            raise CophyError(f"{key} needs another package: {cause}") from error
-        raise CophyError(f"{key}: {cause or error}") from error
