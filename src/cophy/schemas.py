@@ -19,6 +19,7 @@ from cophy.dataset.experiment_set import FRAMES
 from cophy.dataset.source import Source
 from cophy.dataset.spec import Size
 from cophy.dataset.splits import Split
+from cophy.errors import check_name
 from cophy.oracles.forecasts import ORACLES, OracleSettings
 from cophy.released.states import ReleasedSource
 from cophy.report.paper_tables import register_tables
@@ -282,6 +283,28 @@ class TrainConfig(RenderDataConfig):
 
 
 @dataclass
+class ScoreConfig(DataConfig):
+    """Keys of score.py; conf/score.yaml explains them."""
+
+    predictions: str | None = None
+    template: str | None = None
+    name: str | None = None
+    seed: int = MISSING
+    positions: str = MISSING
+    outputs: str = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_range("seed", self.seed, 0, MAX_SEED)
+        if self.positions not in ESTIMATED:
+            raise ValueError(f"positions={self.positions} is not among {', '.join(ESTIMATED)}")
+        if (self.predictions is None) == (self.template is None):
+            raise ValueError("give predictions=, a file to score, or template=, a file to write with all ids")
+        if self.name is not None:
+            check_name("name", self.name)
+
+
+@dataclass
 class PredictConfig:
     """Keys of predict.py; conf/predict.yaml explains them."""
 
@@ -374,6 +397,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "look": LookConfig,
         "predict": PredictConfig,
         "report": ReportConfig,
+        "score": ScoreConfig,
         "study": StudyConfig,
     },
     "scenario": {**SCENARIOS},
