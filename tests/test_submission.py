@@ -281,7 +281,7 @@ def test_a_template_can_be_scored_and_is_not_replaced(
 
 
 def test_results_of_a_training_are_not_replaced(tiny_data: Path, tmp_path: Path) -> None:
-    train("scenario=collision", "model=copy_c", f"source.outputs={tmp_path}", data=tiny_data)
+    train("scenario=collision", "model=copy_c", "trainer.max_epochs=40", f"source.outputs={tmp_path}", data=tiny_data)
     (path,) = tmp_path.glob("collision/all/copy_c/*/*/*/predictions.npz")
     before = path.with_name("metrics.json").read_bytes()
     text = score("name=copy_c", f"predictions={path}", f"outputs={tmp_path}", data=tiny_data, code=1)

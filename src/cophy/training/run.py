@@ -8,6 +8,7 @@ import io
 import json
 import logging
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -207,6 +208,8 @@ class Run:
 
 def is_rank_zero() -> bool:
     """Return whether this process decides and writes: the only one, or the first of a run on several devices."""
+    if "torch" not in sys.modules:  # nothing is trained here
+        return True
     from lightning.pytorch.utilities.rank_zero import rank_zero_only  # takes seconds to import; --help does not need it
 
     return getattr(rank_zero_only, "rank", 0) in (0, None)
