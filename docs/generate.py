@@ -16,6 +16,7 @@ from pathlib import Path
 
 import yaml
 from result_claims import claims
+from result_entries import EntryError, entries_table
 from result_listings import checkpoints, column_meanings
 from result_runs import (
     COLUMNS,
@@ -72,7 +73,11 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results" / "format_3.csv", help="the table")
     arguments = parser.parse_args()
     results = Results(arguments.results)
-    if different := [*update_pages(results, arguments.check), *update_plots(results, arguments.check)]:
+    try:
+        different = [*update_pages(results, arguments.check), *update_plots(results, arguments.check)]
+    except EntryError as error:
+        sys.exit(f"leaderboard/{error}")
+    if different:
         sys.stdout.write("\n".join(different) + "\n")
         sys.exit(1 if arguments.check else 0)
 
@@ -115,6 +120,7 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
     return {
         **{f"leaderboard_{scenario}": partial(leaderboard, results, scenario) for scenario in SCENARIOS},
         "ratio_to_copy_c": partial(ratio_to_copy_c, results),
+        "entries": entries_table,
         "paper": paper,
         "readme": partial(readme, results),
         **{

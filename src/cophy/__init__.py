@@ -2,7 +2,7 @@
 
     data = cophy.load("balls", size="small", split="train")  # a torch Dataset
     predictor = cophy.load_predictor("outputs/.../checkpoints/best.ckpt")  # D from AB and C
-    scores = cophy.score(predictions, truth)  # NumPy arrays, see cophy.scoring
+    scores = cophy.score(predictions, cophy.load_truth("balls"))  # NumPy arrays, see cophy.scoring
 
 Subpackages, each importing only those before it: scenario (what is simulated), dataset (shards, splits, batches), models,
 drawing (images and figures), training (training, testing, metrics) and report (tables and figures next to the paper's).
@@ -18,13 +18,15 @@ if TYPE_CHECKING:
     from cophy.loading import load as load
     from cophy.loading import load_predictor as load_predictor
     from cophy.scoring import score as score
+    from cophy.submission import load_truth as load_truth
 
 __version__ = "0.1.0"
-__all__ = ["CophyError", "load", "load_predictor", "score"]
+__all__ = ["CophyError", "load", "load_predictor", "load_truth", "score"]
 _MODULES = {
     "CophyError": "cophy.errors",
     "load": "cophy.loading",
     "load_predictor": "cophy.loading",
+    "load_truth": "cophy.submission",
     "score": "cophy.scoring",
 }
 

@@ -3,20 +3,25 @@
 import errno
 import glob
 import hashlib
+import io
 import json
 import os
 import shutil
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
+from zipfile import ZipFile
+
+import numpy as np
 
 MACHINE = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 ABANDONED_S = 86400  # ours: a temporary file of another machine is abandoned after a day without a write
 MAX_BYTES = 64 << 20  # ours: the largest file that is read whole is below 10 MiB
+MAX_ARRAY_BYTES = 1 << 30  # ours: of a .npz file; the positions of the paper's largest test split have 0.05 GiB
 FULL = 1 << 20  # bytes; ours: with less free space, files count as not written
 
 
@@ -53,6 +58,30 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError("it holds no dictionary")
     return content
+
+
+def read_npz(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """Return arrays of a .npz file, all required ones and those of the optional ones that it has; pickles are refused.
+
+    Raises:
+        OSError: The operating system refuses access: nothing is known about the file.
+        ValueError: It does not exist, is something else or too large, or lacks a required array.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise ValueError("it is not a regular file")  # opening a pipe would block forever
+        with path.open("rb") as stream, ZipFile(stream) as archive:
+            if sum(member.file_size for member in archive.infolist()) > MAX_ARRAY_BYTES:
+                raise ValueError(f"more than {MAX_ARRAY_BYTES} bytes of arrays")
+            stored = {member.removesuffix(".npy") for member in archive.namelist()}
+            return {
+                name: np.lib.format.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False)
+                for name in (*required, *(name for name in optional if name in stored))
+            }
+    except Exception as error:  # zipfile, zlib and NumPy raise errors of many types
+        if isinstance(error, OSError) and error.errno not in (None, errno.ENOENT):
+            raise
+        raise ValueError(" ".join(str(error).split())) from error
 
 
 def write_atomically(path: Path, content: bytes) -> None:

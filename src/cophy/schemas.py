@@ -289,6 +289,28 @@ class TrainConfig(RenderDataConfig):
 
 
 @dataclass
+class ScoreConfig(DataConfig):
+    """Keys of score.py; conf/score.yaml explains them."""
+
+    predictions: str | None = None
+    template: str | None = None
+    name: str | None = None
+    seed: int = MISSING
+    positions: str = MISSING
+    outputs: str = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_range("seed", self.seed, 0, MAX_SEED)
+        if self.positions not in ESTIMATED:
+            raise ValueError(f"positions={self.positions} is not among {', '.join(ESTIMATED)}")
+        if (self.predictions is None) == (self.template is None):
+            raise ValueError("give predictions=, a file to score, or template=, a file to write with all ids")
+        if self.name is not None:
+            check_name("name", self.name)
+
+
+@dataclass
 class PredictConfig:
     """Keys of predict.py; conf/predict.yaml explains them."""
 
@@ -385,6 +407,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "look": LookConfig,
         "predict": PredictConfig,
         "report": ReportConfig,
+        "score": ScoreConfig,
         "study": StudyConfig,
     },
     "scenario": {**SCENARIOS},

@@ -9,6 +9,7 @@ Axes: n experiments, in any order; T-1 steps (frames 1 … T-1); K slots. Metres
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, Protocol
 
 import numpy as np
@@ -37,17 +38,19 @@ class Predictions:
             sequence; None if stability is not predicted.
         draw_variance: (n, T-1, K, 3) for Monte Carlo oracles, the sampling variance of `position`, m²; it is subtracted from
             squared errors. None for all others.
+        samples: (n, S, T-1, K, 3) several predictions of each experiment, whose mean is `position`; None for one.
     """
 
     experiment: np.ndarray
     position: np.ndarray
     stable_logit: np.ndarray | None = None
     draw_variance: np.ndarray | None = None
+    samples: np.ndarray | None = None
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Predictions":
         """Return the predictions of predictions.npz."""
-        optional = (arrays.get(name) for name in ("stable_logit", "draw_variance"))
+        optional = (arrays.get(name) for name in ("stable_logit", "draw_variance", "samples"))
         return cls(arrays["experiment"], arrays["position"], *optional)
 
 
@@ -159,13 +162,15 @@ def score(predictions: Predictions, truth: Truth) -> Scores:
         - twin_difference_explained, if there are twins: 1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|², where ΔP is the predicted difference
           between twins and ΔD the true one. right_twin_chosen: 1 if a prediction is nearer to its own D than to the twin's,
           ½ if equally near.
+        - energy_score, if there are samples: mean distance of samples to D minus half the mean distance between two samples,
+          m; a distance is the square root of an MSE. best_sample_mse: MSE of the sample nearest to D, m².
 
     Raises:
         CophyError: Experiments are missing, unknown or there twice; an array has a wrong shape or type; or a number of a
             present object is not finite.
     """
     _check_truth(truth)
-    predicted, logit, variance = _aligned(predictions, truth)
+    predicted, logit, variance, samples = _aligned(predictions, truth)
     presence, dims = truth.presence, truth.metric_dims
     true = _present(truth.position, presence)
     error = predicted - true
@@ -177,6 +182,8 @@ def score(predictions: Predictions, truth: Truth) -> Scores:
         values |= _pixel_errors(truth.camera, predicted, true, truth)
     if logit is not None:
         values |= _stability(logit > 0, truth)
+    if samples is not None:
+        values |= _sample_measures(samples, true, presence, dims)
     twin = twins_of(truth.pair)
     if (twin != np.arange(len(twin))).any():
         values |= _twin_measures(predicted[..., :dims], true[..., :dims], twin, variance[..., :dims])
@@ -269,20 +276,36 @@ def _twin_measures(
     }
 
 
+def _sample_measures(samples: np.ndarray, true: np.ndarray, presence: np.ndarray, dims: int) -> dict[str, np.ndarray]:
+    """Return the measures of (n, S, T-1, K, 3) samples: each is scored as a prediction of its own, and against the others."""
+    drawn = list(samples.swapaxes(0, 1))
+    mse = np.stack([mean_squared_error(each, true, presence, dims) for each in drawn])
+    pairs = [mean_squared_error(one, other, presence, dims) for one, other in combinations(drawn, 2)]
+    spread = np.sqrt(pairs).mean(axis=0) if pairs else 0.0
+    return {"energy_score": np.sqrt(mse).mean(axis=0) - spread / 2, "best_sample_mse": mse.min(axis=0)}
+
+
 def _squared(difference: np.ndarray) -> np.ndarray:
     return np.asarray(np.square(difference).sum(axis=(1, 2, 3)))
 
 
 def _present(values: np.ndarray, presence: np.ndarray) -> np.ndarray:
-    """Return (n, T-1, K, ...) values in double precision, zero in empty slots."""
-    return np.where(presence.reshape(len(presence), 1, -1, *[1] * (values.ndim - 3)), values.astype(np.float64), 0.0)
+    """Return (n, T-1, K, ...) values, or (n, S, T-1, K, 3) samples, in double precision, zero in empty slots."""
+    slots = 3 if values.ndim == 5 else 2
+    present = np.expand_dims(presence, [axis for axis in range(1, values.ndim) if axis != slots])
+    return np.where(present, values.astype(np.float64), 0.0)
 
 
-def _aligned(predictions: Predictions, truth: Truth) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
-    """Return positions, logits and variances in the order of the truth, zero in empty slots."""
+def _aligned(
+    predictions: Predictions, truth: Truth
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray | None]:
+    """Return positions, logits, variances and samples in the order of the truth, zero in empty slots."""
     rows, shape = _rows(predictions.experiment, truth.experiment), truth.position.shape
-    arrays = {name: getattr(predictions, name) for name in ("position", "stable_logit", "draw_variance")}
-    shapes = {name: [shape] for name in arrays} | {"stable_logit": [shape[:3], (shape[0], 1, shape[2])]}
+    arrays = {name: getattr(predictions, name) for name in ("position", "stable_logit", "draw_variance", "samples")}
+    shapes: dict[str, list[tuple[int, ...]]] = {name: [shape] for name in arrays}
+    shapes["stable_logit"] = [shape[:3], (shape[0], 1, shape[2])]
+    if arrays["samples"] is not None and arrays["samples"].ndim == 5 and arrays["samples"].size:
+        shapes["samples"] = [(shape[0], arrays["samples"].shape[1], *shape[1:])]
     aligned: dict[str, np.ndarray | None] = {}
     for name, array in arrays.items():
         if array is None:
@@ -300,7 +323,12 @@ def _aligned(predictions: Predictions, truth: Truth) -> tuple[np.ndarray, np.nda
             )
     position, variance = aligned["position"], aligned["draw_variance"]
     assert position is not None
-    return position, aligned["stable_logit"], np.zeros_like(position) if variance is None else variance
+    return (
+        position,
+        aligned["stable_logit"],
+        np.zeros_like(position) if variance is None else variance,
+        aligned["samples"],
+    )
 
 
 def _rows(predicted: np.ndarray, tested: np.ndarray) -> np.ndarray:

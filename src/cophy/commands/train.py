@@ -17,7 +17,7 @@ from cophy.config import experiments_of, to_config, to_plain, variant
 from cophy.dataset.source import GENERATED
 from cophy.errors import CophyError
 from cophy.schemas import ESTIMATED, TrainConfig, register
-from cophy.training.run import Run, is_rank_zero
+from cophy.training.run import TESTED_CHECKPOINT, Run, is_rank_zero
 
 if TYPE_CHECKING:  # --help must not import torch and Lightning, which takes seconds
     from lightning import Trainer
@@ -41,7 +41,7 @@ def main(cfg: DictConfig) -> float:
     if in_parallel:  # progress bars would overwrite each other
         plain["trainer"] |= {"enable_progress_bar": False, "enable_model_summary": False}
     try:
-        with run.locked(tests_checkpoint=cfg.predictor is not None):
+        with run.locked(tests=None if cfg.predictor is None else TESTED_CHECKPOINT):
             config = to_config(cfg, TrainConfig)  # inside the lock, so that an invalid value also leaves failure.json
             validation = train(config, plain, run)
     except Exception as error:

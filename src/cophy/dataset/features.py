@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from cophy.dataset.shards import Arrays
-from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, stable_frames, visible_axis
+from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, reduce_to_frames, visible_axis
 from cophy.scenario import Scenario, Shape
 from cophy.scenario.confounders import ConfounderGrid
 from cophy.types import HORIZONTAL, OBJECT_TYPES, Batch, Inputs, Targets
@@ -138,19 +138,6 @@ def to_batch(
     if "pose" in declared and not estimated:
         inputs.pose = poses(arrays)
     return Batch(inputs, targets)
-
-
-def reduce_to_frames(arrays: Arrays, scenario: Scenario) -> Arrays:
-    """Return the arrays with one state per frame, so that the other states need no memory.
-
-    Returns:
-        The same arrays, but `states` is (experiment, 2, T, slot, 13), and `stable` (experiment, 2, T-1, slot) says whether
-        an object is slow in all states from one frame to the next.
-    """
-    stride, states = scenario.clock.states_per_frame, arrays["states"]
-    stable = [stable_frames(states[:, sequence], stride, scenario.task.stable_speed) for sequence in (0, 1)]
-    present = arrays["presence"][:, :, None]
-    return arrays | {"states": states[:, :, ::stride].copy(), "stable": np.stack(stable, axis=1) & present}
 
 
 def true_inputs(arrays: Arrays) -> Inputs:

@@ -249,6 +249,19 @@ def stable_frames(states: np.ndarray, stride: int, stable_speed: float) -> np.nd
     return np.asarray(after_first.reshape(len(slow), num_frames - 1, stride, -1).all(axis=2))
 
 
+def reduce_to_frames(arrays: Arrays, scenario: Scenario) -> Arrays:
+    """Return the arrays with one state per frame, so that the other states need no memory.
+
+    Returns:
+        The same arrays, but `states` is (experiment, 2, T, slot, 13), and `stable` (experiment, 2, T-1, slot) says whether
+        an object is slow in all states from one frame to the next.
+    """
+    stride, states = scenario.clock.states_per_frame, arrays["states"]
+    stable = [stable_frames(states[:, sequence], stride, scenario.task.stable_speed) for sequence in (0, 1)]
+    present = arrays["presence"][:, :, None]
+    return arrays | {"states": states[:, :, ::stride].copy(), "stable": np.stack(stable, axis=1) & present}
+
+
 COST = {  # CPU-seconds and kB per experiment: measured for towers of 3, balls of 4 and collisions, else estimated
     ("blocktower", 3): (0.22, 23), ("blocktower", 4): (0.45, 33), ("balls", 2): (0.6, 20), ("balls", 3): (0.15, 24),
     ("balls", 4): (0.14, 29), ("balls", 5): (0.15, 34), ("balls", 6): (0.2, 40), ("collision", 2): (0.04, 10),

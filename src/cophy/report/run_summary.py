@@ -19,6 +19,7 @@ from cophy.training.run import METRICS, Run
 
 ENDS_OF_SHARE = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
 COPIES = {"copy_c": "copy C: nothing moves", "copy_b": "copy B: the do-operation changes nothing"}
+OF_SAMPLES = {"energy_score": "Energy score of the samples, m", "best_sample_mse": "MSE of the best sample, m²"}
 IN_PERCENT = {
     "twin_difference_explained": "Explained part of the twins' difference",
     "right_twin_chosen": "Right twin chosen",
@@ -48,6 +49,10 @@ def _lines(run: Run, content: dict[str, Any], own_metrics: Iterable[str]) -> Ite
         yield f"  {COPIES[name]}", f"{value:.4f}"
     if (published := published_mse(run.names())) is not None:
         yield "  the paper's number of this row", f"{published:.3f}"
+    for name, title in OF_SAMPLES.items():
+        if name in metrics:
+            low, high = intervals[name]
+            yield title, f"{metrics[name]:.4f} [{low:.4f}, {high:.4f}]"
     for name, title in IN_PERCENT.items():
         if name in metrics:
             low, high = intervals[name]

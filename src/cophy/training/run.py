@@ -4,22 +4,21 @@ A run writes metrics.json and predictions.npz when its test is over, or failure.
 directory. Results of another run are never replaced, and earlier results of the same run only once it really starts.
 """
 
-import errno
 import io
 import json
 import logging
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zipfile import ZipFile
 
 import numpy as np
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from cophy.atomic_files import read_json, write_atomically
+from cophy.atomic_files import read_json, read_npz, write_atomically
 from cophy.errors import CophyError
 from cophy.locks import locked
 
@@ -39,8 +38,11 @@ OPTIONAL_ARRAYS = {
     **dict.fromkeys(("confounder_class", "probe_mass_and_friction"), ("i", "n k 2")),
     **{"probe_mass": ("i", "n k"), "probe_friction": ("i", "n k"), "probe_most_frequent": ("i", "2")},
 }
-MAX_ARRAY_BYTES = 1 << 30  # ours: the paper's largest test split has 0.05 GiB
 LARGEST_NUMBER = 1e15  # ours: its square is finite in single precision
+TESTED_CHECKPOINT, SCORED_FILE = (
+    "predictor",
+    "predictions",
+)  # keys of commands, and of metrics.json with the file's hash
 SWEEP = "COPHY_SWEEP"  # environment variable: a unique name of the sweep that a run belongs to
 LOGGED = (  # metrics in the last line of a run's log
     *("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy"),
@@ -121,11 +123,11 @@ class Run:
         return self.directory / "checkpoints"
 
     @contextmanager
-    def locked(self, *, tests_checkpoint: bool = False) -> Iterator[None]:
+    def locked(self, *, tests: str | None = None) -> Iterator[None]:
         """Lock the directory exclusively; if the run fails, write failure.json.
 
         Args:
-            tests_checkpoint: Whether the run tests a given checkpoint (predictor=) instead of training.
+            tests: What the run tests instead of training: TESTED_CHECKPOINT, SCORED_FILE or None.
 
         Raises:
             CophyError: Another process is making this run, or the directory has results that must not be replaced.
@@ -136,7 +138,7 @@ class Run:
         self.directory.mkdir(parents=True, exist_ok=True)
         busy = f"{self.directory}: another process is making this run; wait until it is done"
         with locked(self.directory / ".lock", elsewhere="source.outputs=", busy=busy):
-            self._check_earlier_results(tests_checkpoint)
+            self._check_earlier_results(tests)
             (self.directory / FAILURE).unlink(missing_ok=True)
             try:
                 yield
@@ -182,7 +184,7 @@ class Run:
         content = {"has_begun": self.has_begun, "error": message, "sweep": os.environ.get(SWEEP)}
         _write_json(self.directory / FAILURE, {**self.names(), **content})
 
-    def _check_earlier_results(self, tests_checkpoint: bool) -> None:
+    def _check_earlier_results(self, tests: str | None) -> None:
         path = self.directory / METRICS
         try:
             content = read_json(path)
@@ -195,15 +197,19 @@ class Run:
             raise CophyError(
                 f"{path} belongs to another run ({', '.join(others)}): choose another hydra.run.dir or delete it"
             )
-        if tests_checkpoint and content.get("predictor") is None:
+        if tests is not None and content.get(tests) is None:
             raise CophyError(
-                f"{path} belongs to a training with these settings: write the results of predictor= elsewhere "
-                "(source.outputs=), or delete it"
+                f"{path} belongs to a training with these settings: write the results of {tests}= elsewhere "
+                f"({'name=' if tests == SCORED_FILE else 'source.outputs='}), or delete it"
             )
+        if tests is None and content.get(SCORED_FILE) is not None:
+            raise CophyError(f"{path} holds the scores of a file of predictions: rename the model, or delete it")
 
 
 def is_rank_zero() -> bool:
     """Return whether this process decides and writes: the only one, or the first of a run on several devices."""
+    if "torch" not in sys.modules:  # nothing is trained here
+        return True
     from lightning.pytorch.utilities.rank_zero import rank_zero_only  # takes seconds to import; --help does not need it
 
     return getattr(rank_zero_only, "rank", 0) in (0, None)
@@ -251,20 +257,9 @@ def read_predictions(directory: Path) -> dict[str, np.ndarray]:
     """
     path = directory / PREDICTIONS
     try:
-        if path.exists() and not path.is_file():
-            raise ValueError("it is not a regular file")  # opening a pipe would block forever
-        with path.open("rb") as stream, ZipFile(stream) as archive:
-            if sum(member.file_size for member in archive.infolist()) > MAX_ARRAY_BYTES:
-                raise ValueError(f"more than {MAX_ARRAY_BYTES} bytes of arrays")
-            stored = {member.removesuffix(".npy") for member in archive.namelist()}
-            arrays = {
-                name: np.lib.format.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False)
-                for name in (*ARRAYS, *(name for name in OPTIONAL_ARRAYS if name in stored))
-            }
+        arrays = read_npz(path, list(ARRAYS), list(OPTIONAL_ARRAYS))
         _check_arrays(arrays)
-    except Exception as error:  # zipfile, zlib and NumPy raise errors of many types
-        if isinstance(error, OSError) and error.errno not in (None, errno.ENOENT):
-            raise  # the operating system refuses access: nothing is known about the file
+    except ValueError as error:
         raise CophyError(f"{path} is missing or damaged ({error}): run its train.py command again") from error
     return arrays
 

@@ -1,0 +1,130 @@
+"""Score predictions of any model: python src/score.py scenario=collision predictions=mine.npz"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from cophy import cli
+from cophy.atomic_files import sha256
+from cophy.config import generated_by, to_config
+from cophy.dataset.splits import SPLITS
+from cophy.errors import CophyError, check_name
+from cophy.schemas import ScoreConfig
+from cophy.scoring import Predictions, Scores, score
+from cophy.submission import TestedSplit, read_predictions_file, read_test_split, write_template
+from cophy.training.run import SCORED_FILE, Results, Run
+
+
+@cli.command("score")
+def main(cfg: DictConfig) -> None:
+    from cophy.report.run_summary import show_results  # pandas takes a second; --help does not need it
+
+    config = to_config(cfg, ScoreConfig)
+    sets = {each.spec.num_objects: each for each in generated_by(config)}
+    test = read_test_split(sets[config.split.test.num_objects], config.scenario, config.split)
+    if config.template is not None:
+        write_template(Path(config.template), test)
+        return
+    path = Path(str(config.predictions))
+    run = make_run(config, path, sets[config.split.test.num_objects].spec.overrides)
+    with run.locked(tests=SCORED_FILE):
+        predictions = read_predictions_file(path, test.truth)
+        scores = score(predictions, test.truth)
+        run.delete_earlier_results()
+        training_set = sets[config.split.train.num_objects]
+        selected = config.split.train.select_split(training_set.load(), SPLITS[0]) if training_set.is_finished() else []
+        facts = {
+            SCORED_FILE: sha256(path),
+            "dataset_ids": [test.dataset_id],
+            "groups": scores_of_groups(scores, test),
+            "num_train": int(sum(selected)),  # 0 if the training data are not here
+            "num_test": len(scores.experiment),
+            "max_epochs": 0,
+            "metric_dims": test.truth.metric_dims,
+            "training_seconds": 0.0,
+            "wall_seconds": 0.0,
+        }
+        run.write_results(Results(scores.values, scores.cluster, copies(test), run_arrays(predictions, test)), facts)
+    show_results(run)
+    print(leaderboard_lines(run, config.data_seed, facts, scores), end="")  # noqa: T201 (to be copied)
+
+
+def leaderboard_lines(run: Run, data_seed: int, facts: dict[str, Any], scores: Scores) -> str:
+    """Return the lines of these scores for an entry of leaderboard/."""
+    means, intervals = scores.means(), scores.intervals()
+    lines = {name: getattr(run, name) for name in ("scenario", "split", "size", "seed", "positions")}
+    lines |= {"data_seed": data_seed, "sha256": facts[SCORED_FILE], "num_test": facts["num_test"]}
+    for name in ("mse", "twin_difference_explained", "right_twin_chosen"):
+        lines[name] = [float(f"{value:.6g}") for value in (means[name], *intervals[name])]
+    text = yaml.safe_dump([lines], sort_keys=False, default_flow_style=None, width=1000)
+    return f"For leaderboard/, below scores:\n{text}"
+
+
+def make_run(config: ScoreConfig, path: Path, changes: tuple[str, ...]) -> Run:
+    """Return the names and directory of the run that holds the scores, as train.py names its own.
+
+    Args:
+        config: The configuration.
+        path: The file of predictions.
+        changes: Changes of the data beyond their names.
+    """
+    choices = HydraConfig.get().runtime.choices
+    if changes:
+        raise CophyError("score.py knows data by scenario=, size=, confounders= and data_seed= alone")
+    name = path.stem if config.name is None else config.name
+    try:
+        check_name("name", name)
+    except ValueError as error:
+        raise CophyError(str(error)) from error
+    changed = {"size": config.size.name, "data_seed": config.data_seed}
+    defaults = {"size": "small", "data_seed": 0}
+    run = Run(
+        scenario=choices["scenario"],
+        split=choices["split"],
+        model=name,
+        ablation="full",
+        positions=config.positions,
+        seed=config.seed,
+        size=choices["size"],
+        variant="".join(f"+{key}-{value}" for key, value in changed.items() if value != defaults[key]),
+        directory=Path(),
+    )
+    run.directory = Path(config.outputs) / run.place
+    return run
+
+
+def scores_of_groups(scores: Scores, test: TestedSplit) -> dict[str, Any]:
+    """Return the mean of every measure and its interval for each cell and do-operation."""
+    groups: dict[str, Any] = {}
+    for kind, masks in test.groups.items():
+        groups[kind] = {}
+        for name, mask in masks.items():
+            selected = scores.select(mask)
+            means, intervals = selected.means(), selected.intervals()
+            groups[kind][name] = {"num_test": int(mask.sum()), "metrics": means, "intervals": intervals}
+    return groups
+
+
+def copies(test: TestedSplit) -> dict[str, float]:
+    """Return the MSE of copy C and of copy B, as `cophy.models.baselines` defines them."""
+    truth = test.truth
+    positions = {"copy_c": np.broadcast_to(truth.initial[:, None], truth.position.shape), "copy_b": test.observed}
+    scores = {name: score(Predictions(truth.experiment, position), truth) for name, position in positions.items()}
+    return {name: float(each.mse.mean()) for name, each in scores.items()}
+
+
+def run_arrays(predictions: Predictions, test: TestedSplit) -> dict[str, np.ndarray]:
+    """Return the arrays of predictions.npz, in the order of the truth."""
+    truth = test.truth
+    order = np.argsort(predictions.experiment)[np.argsort(np.argsort(truth.experiment))]
+    names = ("experiment", "pair", "cluster", "cell", "initial", "presence", "stable")
+    arrays = {name: getattr(truth, name) for name in names} | {"target": truth.position}
+    present = truth.presence[:, None]
+    predicted = {"position": np.where(present[..., None], predictions.position[order], 0.0)}
+    if predictions.stable_logit is not None:
+        predicted["stable_logit"] = np.where(present, predictions.stable_logit[order], 0.0)
+    return arrays | predicted

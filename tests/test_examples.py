@@ -1,0 +1,56 @@
+"""The example scripts for other frameworks are short, and lead to a scored file."""
+
+import importlib.util
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cophy
+from cophy.dataset.states import States
+from cophy.submission import load_truth, read_predictions_file
+from tests.conftest import ROOT, tiny_spec
+
+EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
+MAX_LINES = 60
+NEEDS = {"jax_model": "jax"}
+needs_package = [
+    pytest.param(
+        path,
+        id=path.stem,
+        marks=pytest.mark.skipif(
+            path.stem in NEEDS and importlib.util.find_spec(NEEDS[path.stem]) is None,
+            reason=f"{NEEDS.get(path.stem)} is not installed",
+        ),
+    )
+    for path in EXAMPLES
+]
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short(path: Path) -> None:
+    assert len(path.read_text().splitlines()) <= MAX_LINES
+
+
+@pytest.mark.parametrize("path", needs_package)
+def test_an_example_leads_to_scores(
+    path: Path, tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "data").symlink_to(tiny_data)
+    monkeypatch.chdir(tmp_path)
+    dataset = States(tiny_spec("collision"), tiny_data).directory
+    given = ["collision", "tiny"] if path.stem == "torch_loop" else [str(dataset)]
+    monkeypatch.setattr(sys, "argv", [str(path), *given, "mine.npz"])
+    runpy.run_path(str(path), run_name="__main__")
+    truth = load_truth("collision", size="tiny", data_dir=tiny_data)
+    scores = cophy.score(read_predictions_file(tmp_path / "mine.npz", truth), truth)
+    assert np.isfinite(scores.mse).all()
+    if path.stem == "numpy_rule":  # the only one that needs no training
+        assert scores.means()["mse"] < cophy.score(read_copy_c(truth), truth).means()["mse"]
+
+
+def read_copy_c(truth: cophy.scoring.Truth) -> cophy.scoring.Predictions:
+    position = np.repeat(truth.initial[:, None], truth.position.shape[1], axis=1)
+    return cophy.scoring.Predictions(truth.experiment, position)
