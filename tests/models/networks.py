@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from cophy.models import Alongside, CoPhyNet, CopyB, CopyC, DisplacedCopyB, InteractionNetwork
+from cophy.models import GNS, Alongside, CoPhyNet, CopyB, CopyC, DisplacedCopyB, InteractionNetwork, Transformer
 from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, SLOT_AXIS, Batch, Inputs, Prediction, Targets
 
 NUM_FRAMES = 7
@@ -54,7 +54,23 @@ ALONGSIDES: dict[str, dict[str, Any]] = {
     "alongside_no_impulses": {"impulses": False},
     "alongside_no_pair_memory": {"pair_memory": False},
 }
-TRAINED = (*COPHYNETS, *INTERACTION_NETWORKS, *ALONGSIDES)
+GNS_ARGUMENTS = {
+    "hidden_dim": HIDDEN_DIM,
+    "message_steps": 2,
+    "num_velocities": 3,
+    "estimate_dim": 20,
+    "gru_layers": 2,
+    "edge_layers": 3,
+    "node_layers": 2,
+    "arena_half_width": None,
+}
+TRANSFORMER = {"hidden_dim": HIDDEN_DIM, "num_layers": 2, "num_heads": 3}
+OTHERS: dict[str, tuple[type[nn.Module], dict[str, Any]]] = {
+    "gns": (GNS, GNS_ARGUMENTS),
+    "gns_walls": (GNS, GNS_ARGUMENTS | {"arena_half_width": 2.0}),
+    "transformer": (Transformer, TRANSFORMER),
+}
+TRAINED = (*COPHYNETS, *INTERACTION_NETWORKS, *ALONGSIDES, *OTHERS)
 SEES_APPEARANCE = {"object_type": True, "pose": True}
 
 
@@ -67,6 +83,9 @@ def build(name: str, **changes: Any) -> nn.Module:
         return InteractionNetwork(**IN | INTERACTION_NETWORKS[name] | changes)
     if name in ALONGSIDES:
         return Alongside(**ALONGSIDE | ALONGSIDES[name] | changes)
+    if name in OTHERS:
+        kind, arguments = OTHERS[name]
+        return kind(**arguments | changes)
     return {"copy_b": CopyB, "copy_c": CopyC, "copy_b_displaced": DisplacedCopyB}[name]()
 
 

@@ -19,8 +19,8 @@ from tests.models.networks import (
     random_batch,
 )
 
-READ_AB = ("cophynet", "static_gating", "mlp", "single_step", "alongside", "alongside_no_replay")
-DECLARE_APPEARANCE = (*COPHYNETS, *INTERACTION_NETWORKS, "alongside")
+READ_AB = ("cophynet", "static_gating", "mlp", "single_step", "alongside", "alongside_no_replay", "gns", "transformer")
+DECLARE_APPEARANCE = (*COPHYNETS, *INTERACTION_NETWORKS, "alongside", "gns", "transformer")
 
 
 @pytest.fixture(scope="module")

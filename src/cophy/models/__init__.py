@@ -13,11 +13,14 @@ _MODULES = {
     "CopyC": "baselines",
     "Derenderer": "derenderer",
     "DisplacedCopyB": "baselines",
+    "GNS": "gns",
     "InteractionNetwork": "baselines",
     "Replay": "baselines",
+    "Transformer": "transformer",
     "Trees": "trees",
 }
 __all__ = [
+    "GNS",
     "Alongside",
     "CoPhyNet",
     "CopyB",
@@ -26,6 +29,7 @@ __all__ = [
     "DisplacedCopyB",
     "InteractionNetwork",
     "Replay",
+    "Transformer",
     "Trees",
 ]
 

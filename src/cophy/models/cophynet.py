@@ -15,6 +15,7 @@ not know its own mass.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from enum import Enum
 
 import torch
@@ -23,6 +24,7 @@ from torch import Tensor, nn
 
 from cophy.errors import CophyError
 from cophy.models.baselines import ConfounderInput
+from cophy.models.frames import canonical_matrices, check_frame, turn, turn_inputs
 from cophy.models.layers import (
     Appearance,
     GraphConvolution,
@@ -246,6 +248,7 @@ class CoPhyNet(nn.Module):
         pose: bool = False,
         num_frames: int | None = None,
         slots: list[str] | None = None,
+        canonical_frame: str | None = None,
     ) -> None:
         """Build the estimator and the decoder.
 
@@ -263,6 +266,8 @@ class CoPhyNet(nn.Module):
             pose: Whether the model sees the orientation of each object at t = 0.
             num_frames: T, needed for `single_step`.
             slots: Names of the colour slots, needed for `mlp`.
+            canonical_frame: Name of the scenario whose symmetries are removed from the positions (`cophy.models.frames`);
+                None for positions as they are.
 
         Raises:
             CophyError: An argument is out of its range, or missing.
@@ -279,6 +284,13 @@ class CoPhyNet(nn.Module):
         )
         self.appearance = Appearance(object_type, pose)
         position_dim = 3 + self.appearance.width
+        self.canonical_frame = canonical_frame
+        if canonical_frame is not None:
+            check_frame(canonical_frame)
+            if pose or self.source in (ConfounderSource.ground_truth, ConfounderSource.without_pose):
+                raise CophyError(
+                    "model.canonical_frame turns positions alone: it needs pose=false and no true confounders"
+                )
 
         def make_convolution(input_dim: int) -> nn.Module:
             if self.interaction is Interaction.graph:
@@ -321,6 +333,13 @@ class CoPhyNet(nn.Module):
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Predict D, one step per frame of AB after the first."""
+        if self.canonical_frame is None:
+            return self._predict_in_frame(inputs)
+        matrices = canonical_matrices(inputs, self.canonical_frame)
+        prediction = self._predict_in_frame(turn_inputs(inputs, matrices))
+        return replace(prediction, position=turn(prediction.position, matrices.transpose(1, 2)))
+
+    def _predict_in_frame(self, inputs: Inputs) -> Prediction:
         if self.interaction is Interaction.mlp:  # it has separate weights for every slot, so slots must stay in place
             return self._predict(inputs)
         packed, slots = pack(inputs)

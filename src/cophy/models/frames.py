@@ -1,0 +1,63 @@
+"""Canonical frames: a rotation or reflection of (x, y) per experiment, so that equivalent experiments look equal to a network.
+
+- collision: the x axis is the heading of the moving object in AB, and the other object of C is on the left of it.
+- balls: the walls have the symmetries of a square, by which the fastest ball of AB starts at 0 to 45°.
+- blocktower: likewise, the mean displacement of the blocks at the end of AB points to 0 to 45°.
+
+The origin stays, since balls have walls, and networks that see offsets between objects need none.
+"""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cophy.errors import CophyError
+from cophy.types import Inputs
+
+SCENARIOS = ("collision", "balls", "blocktower")
+EPSILON = 1e-12
+
+
+def check_frame(name: str) -> None:
+    """Raise a CophyError if a scenario has no canonical frame."""
+    if name not in SCENARIOS:
+        raise CophyError(f"model.canonical_frame={name} must be one of {', '.join(SCENARIOS)}")
+
+
+def canonical_matrices(inputs: Inputs, scenario: str) -> Float[Tensor, "batch 2 2"]:
+    """Return the matrix of each experiment that takes (x, y) to its canonical frame."""
+    seen = inputs.observed_presence[:, None, :, None]
+    motion = ((inputs.observed - inputs.observed[:, :1]) * seen)[..., :2]
+    if scenario == "blocktower":
+        return _octant(motion[:, -1].sum(dim=1))
+    fastest = motion[:, 1].norm(dim=-1).argmax(dim=1)
+    experiments = torch.arange(len(motion), device=motion.device)
+    heading = motion[experiments, 1, fastest]
+    if scenario == "balls":
+        return _octant(heading)
+    x, y = (heading / heading.norm(dim=-1, keepdim=True).clamp(min=EPSILON)).unbind(dim=-1)
+    offset = (inputs.initial - inputs.initial[experiments, fastest][:, None])[..., :2] * inputs.presence[..., None]
+    cross = (x[:, None] * offset[..., 1] - y[:, None] * offset[..., 0]).sum(dim=1)
+    side = torch.where(cross < 0, -1.0, 1.0)
+    return torch.stack([torch.stack([x, y], dim=-1), side[:, None] * torch.stack([-y, x], dim=-1)], dim=1)
+
+
+def _octant(vector: Float[Tensor, "batch 2"]) -> Float[Tensor, "batch 2 2"]:
+    """Return the symmetry of the square that turns each vector to 0 to 45°."""
+    signs = torch.diag_embed(torch.where(vector < 0, -1.0, 1.0))
+    return torch.where((vector[:, 1].abs() > vector[:, 0].abs())[:, None, None], signs.flip(1), signs)
+
+
+def turn(
+    position: Float[Tensor, "batch *any 3"], matrices: Float[Tensor, "batch 2 2"]
+) -> Float[Tensor, "batch *any 3"]:
+    """Apply the matrix of each experiment to x and y."""
+    xy = torch.einsum("bij,b...j->b...i", matrices.to(position), position[..., :2])
+    return torch.cat([xy, position[..., 2:]], dim=-1)
+
+
+def turn_inputs(inputs: Inputs, matrices: Float[Tensor, "batch 2 2"]) -> Inputs:
+    """Return AB and C in the frames of these matrices; poses and true confounders stay as they are."""
+    return replace(inputs, observed=turn(inputs.observed, matrices), initial=turn(inputs.initial, matrices))

@@ -1,0 +1,73 @@
+"""Canonical frames: a network in one does not see how an experiment is turned, and predicts in the frame of its inputs."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from cophy.errors import CophyError
+from cophy.models.frames import SCENARIOS, canonical_matrices, turn, turn_inputs
+from cophy.types import Inputs
+from tests.conftest import SCENARIOS as ALL_SCENARIOS
+from tests.models.networks import build, present_positions, random_batch
+
+QUARTER, MIRROR = torch.tensor([[0.0, -1.0], [1.0, 0.0]]), torch.tensor([[1.0, 0.0], [0.0, -1.0]])
+EIGHTH = torch.tensor([[0.5**0.5, -(0.5**0.5)], [0.5**0.5, 0.5**0.5]])
+
+
+def turned(inputs: Inputs, matrix: torch.Tensor) -> Inputs:
+    return turn_inputs(inputs, matrix.expand(len(inputs), 2, 2))
+
+
+def inputs_of(scenario: str) -> Inputs:
+    """Random experiments; those of collisions have two objects, one of which starts to move."""
+    inputs = random_batch(4, [2, 2, 2, 2] if scenario == "collision" else [4, 3, 2, 3]).inputs
+    return replace(inputs, presence=inputs.observed_presence) if scenario == "collision" else inputs
+
+
+def test_every_scenario_has_a_frame() -> None:
+    assert set(SCENARIOS) == set(ALL_SCENARIOS)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("matrix", [QUARTER, MIRROR, MIRROR @ QUARTER, EIGHTH], ids=["turn", "mirror", "both", "45°"])
+def test_turned_experiments_look_equal(scenario: str, matrix: torch.Tensor) -> None:
+    if matrix is EIGHTH and scenario != "collision":
+        pytest.skip("the floor of collisions alone has all rotations")
+    inputs = inputs_of(scenario)
+    other = turned(inputs, matrix)
+    seen = [turn_inputs(each, canonical_matrices(each, scenario)) for each in (inputs, other)]
+    torch.testing.assert_close(seen[0].observed, seen[1].observed, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(seen[0].initial, seen[1].initial, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_predictions_turn_with_the_experiment(scenario: str) -> None:
+    network, inputs = build("cophynet", canonical_frame=scenario), inputs_of(scenario)
+    expected = turn(present_positions(network(inputs), inputs), QUARTER.expand(4, 2, 2))
+    other = turned(inputs, QUARTER)
+    torch.testing.assert_close(present_positions(network(other), other), expected, atol=1e-4, rtol=1e-4)
+    plain = build("cophynet")
+    moved = turn(present_positions(plain(inputs), inputs), QUARTER.expand(4, 2, 2))
+    assert (present_positions(plain(other), other) - moved).abs().max() > 1e-3
+
+
+def test_the_axes_are_those_of_the_definition() -> None:
+    inputs = inputs_of("collision")
+    seen = turn_inputs(inputs, canonical_matrices(inputs, "collision"))
+    motion = (seen.observed[:, 1] - seen.observed[:, 0]) * inputs.observed_presence[..., None]
+    fastest = motion[..., :2].norm(dim=-1).argmax(dim=1)
+    heading = motion[torch.arange(4), fastest, :2]
+    torch.testing.assert_close(heading[:, 1], torch.zeros(4), atol=1e-5, rtol=0)
+    assert (heading[:, 0] > 0).all()
+    left = (seen.initial - seen.initial[torch.arange(4), fastest][:, None])[..., 1] * inputs.presence
+    assert (left.sum(dim=1) >= 0).all()
+
+
+def test_what_the_frame_does_not_turn_is_refused() -> None:
+    with pytest.raises(CophyError, match="must be one of collision, balls, blocktower"):
+        build("cophynet", canonical_frame="cars")
+    with pytest.raises(CophyError, match="turns positions alone"):
+        build("cophynet", canonical_frame="balls", pose=True)
+    with pytest.raises(CophyError, match="turns positions alone"):
+        build("cophynet_true", canonical_frame="balls")
