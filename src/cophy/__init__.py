@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cophy.loading import load_predictor as load_predictor
     from cophy.scoring import score as score
 
-__version__ = "0.1.0"
+__version__ = "0.4.0"  # 0.<FORMAT_VERSION of data>.<number of the release>
 __all__ = ["CophyError", "load", "load_predictor", "score"]
 _MODULES = {
     "CophyError": "cophy.errors",
