@@ -10,6 +10,7 @@ import yaml
 
 import cophy
 from cophy.dataset.spec import FORMAT_VERSION
+from tests import commands
 from tests.conftest import ROOT
 from tests.pythons.interpreters import VERSIONS, find
 
@@ -64,6 +65,17 @@ def test_the_sources_compile_and_the_package_imports_on(version: str) -> None:
         [python, "-B", "-I", "-c", COMPILE, ROOT / "src"], capture_output=True, text=True, check=False
     )
     assert result.returncode == 0, result.stderr
+
+
+def test_the_default_training_needs_no_pybullet(
+    tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Python 3.12 and later, where figures of TensorBoard ended it."""
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    words = ("scenario=collision", "model=in", "size=tiny", f"data_dir={tiny_data}", "trainer.max_epochs=1")
+    commands.run("train", *words, f"hydra.run.dir={tmp_path}")
+    assert (tmp_path / "metrics.json").exists()
+    assert list(tmp_path.rglob("events.out.tfevents.*"))
 
 
 def test_the_package_lists_its_commands() -> None:

@@ -84,7 +84,7 @@ class Environment:
 
     def install(self, *packages: object) -> None:
         """Install packages with pip."""
-        execute(self.python, "-m", "pip", "install", *packages, folder=self.folder)
+        execute(self.python, "-m", "pip", "install", "--no-compile", *packages, folder=self.folder)
 
     def run(self, *words: object, code: int = 0) -> str:
         """Run Python and return what it prints."""
