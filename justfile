@@ -57,11 +57,15 @@ test *args: setup
 # run the slow tests too; those with a browser need Debian's chromium
 test-slow *args: setup
     @cmp -s requirements-slow.lock .venv/requirements-slow.lock || ({{pip}} {{locked}} requirements-slow.lock && cp requirements-slow.lock .venv/)
-    {{bin}}/pytest -m 'not cluster' "$@"
+    {{bin}}/pytest -m 'not cluster and not pythons' "$@"
 
 # run the tests on a SLURM cluster of one node; needs Debian's slurmctld slurmd slurm-client
 test-cluster *args: setup
     {{bin}}/pytest -m cluster -rs "$@" tests/cluster
+
+# install the wheel in an environment of every Python that is found, train, score and report there: just test-pythons -k 3.13
+test-pythons *args: setup
+    {{bin}}/pytest -m pythons -rs --durations=0 "$@" tests/pythons
 
 # check format, lint and types
 check: setup

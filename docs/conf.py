@@ -2,7 +2,6 @@
 
 import os
 import sys
-from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -11,6 +10,8 @@ sys.path.insert(0, str(ROOT / "src"))
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH")]))
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
+from cophy import __version__  # noqa: E402 (of this checkout)
+
 project = "cophy"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 exclude_patterns = ["_build"]
@@ -18,7 +19,7 @@ nitpicky = True
 nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries, whose lists of names are on the network
 
 html_theme = "furo"
-html_title = f"cophy {metadata.version('cophy')}"
+html_title = f"cophy {__version__}"
 html_static_path = ["_static"]
 html_css_files = ["tables.css"]
 html_show_copyright = False

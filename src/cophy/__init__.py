@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cophy.scoring import score as score
     from cophy.submission import load_truth as load_truth
 
-__version__ = "0.1.0"
+__version__ = "0.4.0"  # 0.<FORMAT_VERSION of data>.<number of the release>
 __all__ = ["CophyError", "load", "load_predictor", "load_truth", "score"]
 _MODULES = {
     "CophyError": "cophy.errors",

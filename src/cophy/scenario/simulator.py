@@ -197,7 +197,7 @@ def import_pybullet() -> Any:
     except ImportError as error:
         raise CophyError(
             "simulation and rendering need PyBullet, which has wheels up to Python 3.11 on Linux x86_64 only: "
-            "generate data there (just setup), then copy data/ here; training and reports need no PyBullet"
+            "generate data there and copy data/ here, or build it (docs/install.md); training and reports need no PyBullet"
         ) from error
     return pybullet
 
