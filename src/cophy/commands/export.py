@@ -1,5 +1,6 @@
 """Export generated data in the format of CoPhy_224: python src/export.py scenario=balls root=/where/CoPhy_224"""
 
+import logging
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -9,9 +10,12 @@ from cophy.config import generated_by, to_config
 from cophy.dataset import generation
 from cophy.schemas import ExportConfig
 
+log = logging.getLogger(__name__)
+
 
 @cli.command("export")
 def main(cfg: DictConfig) -> None:
+    from cophy.dataset import archive, parquet
     from cophy.released.export import export
 
     settings = to_config(cfg, ExportConfig)
@@ -19,7 +23,13 @@ def main(cfg: DictConfig) -> None:
     root.mkdir(parents=True, exist_ok=True)  # fails before anything is generated
     for states in generated_by(settings):
         generation.ensure(states, workers=settings.workers)
-        images = states.frames(settings.render) if settings.clips else None
+        has_images = settings.format == "cophy" if settings.images is None else settings.images
+        images = states.frames(settings.render) if has_images else None
         if images is not None:
             generation.ensure(images, workers=settings.workers)
-        export(states, images, root)
+        if settings.format == "parquet":
+            log.info("%s", parquet.export(states, images, root))
+        elif settings.format == "archive":
+            log.info("%s", archive.write_archive(states, images, root))
+        else:
+            export(states, images, root)
