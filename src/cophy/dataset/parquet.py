@@ -20,7 +20,7 @@ from cophy.dataset.cards import CARD, TEST_TWINS
 from cophy.dataset.croissant import CROISSANT, croissant
 from cophy.dataset.generation import progress_bar
 from cophy.dataset.images import DESCRIPTIONS, Images
-from cophy.dataset.shards import MANIFEST, Arrays, Field, Fields
+from cophy.dataset.shards import MANIFEST, Arrays, Field
 from cophy.dataset.splits import SPLITS
 from cophy.dataset.states import States
 from cophy.errors import CophyError
@@ -30,6 +30,7 @@ ROWS = {
     False: (1000, 100),
     True: (200, 20),
 }  # with images? -> rows of a file and of a row group, below 286 MiB for the hub's viewer
+LABELS = ("split", "do_operation", "cell")  # columns of numbers that have names
 CARD_TEXT = """---
 {head}---
 
@@ -54,7 +55,7 @@ An array of an experiment is a flat list in C order; its shape is in the table b
 ```python
 from datasets import load_dataset
 
-data = load_dataset(".", "{name}", split="train").with_format("numpy")
+data = load_dataset("path/to/this/folder", "{name}", split="train").with_format("numpy")
 states = data[:]["states"].reshape(-1, {shape})  # (experiment, AB or CD, time, slot, 13)
 present, mass = data[0]["presence"].reshape(2, -1), data[0]["mass"]  # (AB or CD, slot); (slot,), kg
 ```
@@ -93,10 +94,10 @@ def export(states: States, images: Images | None, root: Path) -> Path:
         raise CophyError("format=parquet needs pyarrow: pip install 'cophy[parquet]'")
     from pyarrow import parquet
 
-    folder, fields = root / f"{states.spec.scenario.name}-{states.spec.num_objects}", _fields(states, images)
+    folder, columns = root / f"{states.spec.scenario.name}-{states.spec.num_objects}", _columns(states, images)
     description = {**states.description(), "images": None if images is None else images.name}
     _claim(folder, description)
-    arrays, schema = states.load(), _schema(fields, states)
+    arrays, schema = states.load(), _schema(columns, states)
     arrays = {"id": np.arange(len(arrays["split"]), dtype=np.int64), **arrays}
     read_images = None if images is None else images.pictures(arrays, images.render.modalities)
     num_rows, group = ROWS[images is not None]
@@ -107,17 +108,19 @@ def export(states: States, images: Images | None, root: Path) -> Path:
             for number, part in enumerate(parts):
                 path = folder / f"{name}-{number:05d}-of-{len(parts):05d}.parquet"
                 if not path.exists():
-                    with appearing_whole(path) as temporary, parquet.ParquetWriter(temporary, schema, "zstd") as writer:
+                    with (
+                        appearing_whole(path) as temporary,
+                        parquet.ParquetWriter(temporary, schema, compression="zstd") as writer,
+                    ):
                         for some in np.split(part, range(group, len(part), group)):
                             selected = {name: array[some] for name, array in arrays.items()}
                             pictures = [] if read_images is None else [read_images(int(row)) for row in some]
                             writer.write_table(_table(selected, pictures, schema))
                 bar.update(len(part))
     write_atomically(folder / TEST_TWINS, (states.directory / TEST_TWINS).read_bytes())
-    described = {name: _described(field) for name, field in fields.items()}
     files = {path.name: sha256(path) for path in sorted(folder.glob("*.parquet"))}
     counts = {name: int((arrays["split"] == SPLITS.index(split)).sum()) for split, name in HUB_SPLITS.items()}
-    finished = {**description, "arrays": described, "splits": counts, "files": files}
+    finished = {**description, "arrays": columns, "splits": counts, "files": files}
     write_atomically(folder / MANIFEST, (json.dumps(finished, indent=2) + "\n").encode())
     _write_card(root)
     return folder
@@ -138,68 +141,61 @@ def _claim(folder: Path, description: dict[str, Any]) -> None:
     write_atomically(path, (json.dumps(description) + "\n").encode())
 
 
-def _fields(states: States, images: Images | None) -> Fields:
-    """Return the columns of the export; the first axis of their shapes is the experiment."""
-    count = states.spec.num_experiments
-    identity = Field((count,), "<i8", "experiment", "index in the dataset, which tells nothing of the experiment")
-    fields = {"id": identity, **states.fields(0)}
+def _columns(states: States, images: Images | None) -> dict[str, dict[str, Any]]:
+    """Return type, shape in one experiment, axes, unit, meaning and names of values of each column."""
+    identity = Field((0,), "<i8", "experiment", "index in the dataset, which tells nothing of the experiment")
+    columns = {
+        name: {
+            "dtype": "int64" if name in LABELS else np.dtype(field.dtype).name,  # labels as `datasets` has them
+            "shape": field.shape[1:],
+            "axes": field.axes,
+            "unit": field.unit,
+            "meaning": field.meaning,
+        }
+        for name, field in {"id": identity, **states.fields(0)}.items()
+    }
     for name in () if images is None else images.render.modalities:
         axes, meaning, unit = DESCRIPTIONS[name]
-        frames = (count, 2, states.spec.scenario.clock.num_frames)
-        fields[name] = Field(frames, "|S1", axes.split(", row")[0], f"PNG files: {meaning}", unit)
-    return fields
+        shape = (2, states.spec.scenario.clock.num_frames)
+        axes, meaning = axes.split(", row")[0], f"PNG files: {meaning}"
+        columns[name] = {"dtype": "image", "shape": shape, "axes": axes, "unit": unit, "meaning": meaning}
+    return columns
 
 
-def _is_image(field: Field) -> bool:
-    return field.dtype == "|S1"
-
-
-def _described(field: Field) -> dict[str, Any]:
-    dtype = "image" if _is_image(field) else np.dtype(field.dtype).name
-    return {"dtype": dtype, "shape": field.shape[1:], "axes": field.axes, "unit": field.unit, "meaning": field.meaning}
-
-
-def _schema(fields: Fields, states: States) -> Any:
+def _schema(columns: dict[str, dict[str, Any]], states: States) -> Any:
     """Return the schema of pyarrow, with the features of `datasets` as metadata."""
     import pyarrow as pa
 
-    scenario, columns, features = states.spec.scenario, [], {}
-    labels = {"split": SPLITS, "do_operation": scenario.do_operations, "cell": scenario.cells()}
-    for name, field in fields.items():
-        size = int(np.prod(field.shape[1:]))
-        dtype = pa.struct({"bytes": pa.binary(), "path": pa.string()}) if _is_image(field) else _dtype(field)
-        feature: dict[str, Any] = {"_type": "Value", "dtype": np.dtype(field.dtype).name}
-        if _is_image(field):
-            feature = {"_type": "Image"}
+    scenario, fields, features = states.spec.scenario, [], {}
+    labels = dict(zip(LABELS, (SPLITS, scenario.do_operations, scenario.cells()), strict=True))
+    image = pa.struct({"bytes": pa.binary(), "path": pa.string()})
+    for name, column in columns.items():
+        size, dtype = int(np.prod(column["shape"])), column["dtype"]
+        stored = image if dtype == "image" else pa.from_numpy_dtype(np.dtype(dtype))
+        feature: dict[str, Any] = {"_type": "Image"} if dtype == "image" else {"_type": "Value", "dtype": dtype}
         if name in labels:
             feature = {"_type": "ClassLabel", "names": list(labels[name])}
-        if field.shape[1:]:
-            dtype, feature = pa.list_(dtype, size), {"_type": "Sequence", "feature": feature, "length": size}
-        description = {key: str(value) for key, value in _described(field).items()}
-        columns.append(pa.field(name, dtype, metadata=description))
+        if column["shape"]:
+            stored, feature = pa.list_(stored, size), {"_type": "Sequence", "feature": feature, "length": size}
+        fields.append(pa.field(name, stored, metadata={key: str(value) for key, value in column.items()}))
         features[name] = feature
-    return pa.schema(columns, {"huggingface": json.dumps({"info": {"features": features}})})
-
-
-def _dtype(field: Field) -> Any:
-    import pyarrow as pa
-
-    return pa.from_numpy_dtype(np.dtype(field.dtype))
+    return pa.schema(fields, {"huggingface": json.dumps({"info": {"features": features}})})
 
 
 def _table(arrays: Arrays, pictures: list[Arrays], schema: Any) -> Any:
+    """Return experiments as a table of pyarrow; `pictures` are the images of each."""
     import pyarrow as pa
 
     columns = []
     for field in schema:
-        if field.name in arrays:
-            values = arrays[field.name]
-            flat = pa.array(values.reshape(-1))
-            is_list = values.ndim > 1
-            columns.append(pa.FixedSizeListArray.from_arrays(flat, type=field.type) if is_list else flat)
-        else:
+        if field.name not in arrays:
             files = [[{"bytes": png, "path": None} for png in _encode(each[field.name])] for each in pictures]
             columns.append(pa.array(files, field.type))
+        elif arrays[field.name].ndim > 1:
+            values = pa.array(arrays[field.name].reshape(-1), field.type.value_type)
+            columns.append(pa.FixedSizeListArray.from_arrays(values, type=field.type))
+        else:
+            columns.append(pa.array(arrays[field.name], field.type))
     return pa.Table.from_arrays(columns, schema=schema)
 
 
@@ -211,9 +207,9 @@ def _encode(frames: np.ndarray) -> Iterator[bytes]:
 
 def _write_card(root: Path) -> None:
     """Write README.md and the Croissant metadata of all datasets in a folder."""
-    found = {path.parent.name: read_json(path) for path in sorted(root.glob(f"*/{MANIFEST}"))}
-    datasets = {name: dataset for name, dataset in found.items() if "files" in dataset}
-    name, total = next(iter(datasets)), sum(sum(dataset["splits"].values()) for dataset in datasets.values())
+    manifests = {path.parent.name: read_json(path) for path in sorted(root.glob(f"*/{MANIFEST}"))}
+    datasets = {name: dataset for name, dataset in manifests.items() if "files" in dataset}
+    first, total = next(iter(datasets)), sum(sum(dataset["splits"].values()) for dataset in datasets.values())
     head = {
         "pretty_name": "CoPhy: counterfactual learning of physical dynamics",
         "license": "apache-2.0",
@@ -229,6 +225,10 @@ def _write_card(root: Path) -> None:
     }
     sizes = [(name, *dataset["splits"].values(), dataset["images"] or "no") for name, dataset in datasets.items()]
     arrays = {name: each for dataset in datasets.values() for name, each in dataset["arrays"].items()}
+    for name, each in arrays.items():
+        meanings = {key: found["arrays"][name]["meaning"] for key, found in datasets.items() if name in found["arrays"]}
+        if len(set(meanings.values())) > 1:  # kinds of do-operations and cells
+            each["meaning"] = "; ".join(f"{key}: {meaning}" for key, meaning in meanings.items())
     shapes = [[dataset["arrays"].get(name, {}).get("shape", "") for dataset in datasets.values()] for name in arrays]
     rows = [
         (f"`{name}`", each["dtype"], *(str(shape).replace("[]", "") for shape in shape), each["unit"], each["meaning"])
@@ -237,9 +237,9 @@ def _write_card(root: Path) -> None:
     text = CARD_TEXT.format(
         head=yaml.safe_dump(head, sort_keys=False),
         sizes=tabulate(sizes, ("dataset", *HUB_SPLITS.values(), "images"), tablefmt="pipe"),
-        name=name,
-        file=next(file for file in datasets[name]["files"] if file.startswith("train")),
-        shape=", ".join(map(str, datasets[name]["arrays"]["states"]["shape"])),
+        name=first,
+        file=next(file for file in datasets[first]["files"] if file.startswith("train")),
+        shape=", ".join(map(str, datasets[first]["arrays"]["states"]["shape"])),
         arrays=tabulate(rows, ("array", "type", *datasets, "unit", "meaning"), tablefmt="pipe", disable_numparse=True),
     )
     write_atomically(root / CARD, text.encode())
