@@ -152,6 +152,7 @@ def test_an_archive_may_hold_images(tmp_path: Path) -> None:
     [
         ({"data_seed": 1}, r"has collision/2-tiny-\w+, not collision/2-tiny-\w+: choose with size="),
         ({"root": "nothing.zip"}, "cannot be read"),
+        ({"root": "/nowhere/archive.zip"}, r"/nowhere/archive\.zip is no archive of a dataset.*No such file"),
         ({"root": "unknown://archive.zip"}, "Protocol not known"),
     ],
 )

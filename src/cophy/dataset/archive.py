@@ -12,7 +12,7 @@ import shutil
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -80,14 +80,18 @@ def opened(root: str, data_dir: Path) -> Iterator[Files]:
     if Path(root).is_dir():
         yield _files_in(Path(root))
         return
-    with TemporaryFile(dir=data_dir) if "://" in root else open(root, "rb") as file:
-        if "://" in root:
-            _download(root, file)
+    with ExitStack() as stack:
         try:
-            with zipfile.ZipFile(_Bounded(file.fileno(), closefd=False)) as archive:
-                yield _files_of(archive, root)
-        except DAMAGE as error:
+            if "://" in root:
+                file = stack.enter_context(TemporaryFile(dir=data_dir))
+                _download(root, file)
+            else:
+                check_plain(Path(root))
+                file = stack.enter_context(open(root, "rb"))
+            archive = stack.enter_context(zipfile.ZipFile(_Bounded(file.fileno(), closefd=False)))
+        except (*DAMAGE, FileNotFoundError) as error:
             raise CophyError(f"{root} is no archive of a dataset, or damaged: {printable(str(error))}") from error
+        yield _files_of(archive, root)
 
 
 class _Bounded(io.FileIO):
@@ -158,8 +162,10 @@ def copy_shards(missing: Sequence[int], shards: ShardSet, files: Files) -> dict[
         )
     name = MANIFEST
     try:
+        content = io.BytesIO()
         with files.open(f"{shards.place}/{name}") as source:
-            manifest = json.loads(source.read(MAX_MANIFEST))
+            _copy(source, content, MAX_MANIFEST)
+        manifest = json.loads(content.getvalue())
         checksums, versions = manifest["shards"], manifest["versions"]
         for shard in missing:
             name = shards.path(shard).name
