@@ -102,7 +102,7 @@ def test_the_first_steps_run(tiny_data: Path, tmp_path: Path) -> None:
     steps = COMMAND.findall(section.split("\n\n")[1])
     assert [script for script, _ in steps] == ["look", "train", "train", "report"]
     for script, words in steps:
-        tiny = [] if script == "report" else ["size=tiny", f"data_dir={tiny_data}"]
+        tiny = {"report": [], "look": [f"data_dir={tmp_path}"]}.get(script, ["size=tiny", f"data_dir={tiny_data}"])
         quick = {"train": ["trainer.max_epochs=1"], "look": ["render.resolution=112"]}.get(script, [])
         run(tmp_path, str(ROOT / "src" / f"{script}.py"), *shlex.split(words, comments=True), *tiny, *quick)
     assert (tmp_path / "outputs" / "look" / "collision" / "strip.png").exists()

@@ -11,7 +11,10 @@ from torch import nn
 from cophy.cli import OWN_FOLDER, explain
 from cophy.config import experiments_of, settings
 from cophy.dataset import generation
+from cophy.dataset.archive import opened
 from cophy.dataset.datamodules import ExperimentDataset
+from cophy.dataset.experiment_set import ALL_FRAMES, TEST, ExperimentSet
+from cophy.dataset.images import Images
 from cophy.dataset.source import GENERATED
 from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError
@@ -47,7 +50,8 @@ def load(
         data_seed: Seed of the dataset.
         resolution: Edge of the images, pixels; None for the paper's 448. Released clips have their own.
         source: generated; cophy or filtered_cophy for a released dataset.
-        root: Folder of the released dataset.
+        root: Folder of the released dataset. For generated data, where they are copied from: a data directory, a zip archive of
+            export.py, or the URL of one.
         data_dir: Folder of generated data and of indices of released data; None for $COPHY_DATA, or data.
         workers: Processes that generate and render.
 
@@ -73,7 +77,7 @@ def load(
     }
     if data_dir is not None:
         overrides["data_dir"] = _quoted(data_dir)
-    if root is not None:
+    if root is not None and source != GENERATED:
         overrides["source.root"] = _quoted(root)
     if resolution is not None:
         overrides["render.resolution"] = resolution
@@ -82,12 +86,26 @@ def load(
     except (HydraException, OmegaConfBaseException) as error:
         raise CophyError(explain(error).removesuffix(OWN_FOLDER)) from None  # Python has no such option
     (experiments,) = experiments_of(config, [num_objects or config.split.train.num_objects])
-    frames = experiments.frames(config.render) if images else None
+    frames = experiments.frames(config.render, TEST if split == "test" else ALL_FRAMES) if images else None
+    if root is not None and source == GENERATED:
+        assert frames is None or isinstance(frames, Images)
+        _copy(str(root), experiments, frames, Path(config.data_dir))
     if frames is None:
         generation.ensure(experiments, workers=workers)
     else:
         frames.ensure(workers=workers)
     return ExperimentDataset(experiments, split=split, frames=frames, modalities=images)
+
+
+def _copy(root: str, experiments: ExperimentSet, frames: Images | None, data_dir: Path) -> None:
+    """Copy a generated dataset, and its images if they are needed and there."""
+    if (experiments if frames is None else frames.best_available()).is_finished():
+        return
+    data_dir.mkdir(parents=True, exist_ok=True)
+    with opened(root, data_dir) as files:
+        generation.make(experiments, workers=1, files=files)
+        if frames is not None and (images := frames.best_available(files)) in files:
+            generation.make(images, workers=1, files=files)
 
 
 def _quoted(path: str | Path) -> str:

@@ -201,19 +201,22 @@ class LookConfig(RenderDataConfig):
         _check_range("num_shown", self.num_shown, 1)
 
 
+EXPORT_FORMATS = ("cophy", "parquet", "archive")
+
+
 @dataclass
 class ExportConfig(DataConfig):
-    """Keys of export.py. format: that of a released dataset. clips: whether images are exported. root: output folder."""
+    """Keys of export.py. images: whether they are exported; None: only in the released format. root: output folder."""
 
     render: RenderSettings = MISSING
     format: str = MISSING
-    clips: bool = MISSING
+    images: bool | None = None
     root: str = MISSING
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.format != "cophy":
-            raise ValueError(f"format={self.format} is not cophy, the one format that is written")
+        if self.format not in EXPORT_FORMATS:
+            raise ValueError(f"format={self.format} is not among {', '.join(EXPORT_FORMATS)}")
 
 
 @dataclass

@@ -60,16 +60,16 @@ def load_truth(
     split: str | None = None,
     size: str = "small",
     data_seed: int = 0,
-    data_dir: str | Path = "data",
+    data_dir: str | Path | None = None,
 ) -> Truth:
     """Return the truth of a test split, for `cophy.score`. The dataset must be there; nothing is generated.
 
     Args:
         scenario: blocktower, balls or collision.
         split: A name of conf/split; None for the default of the scenario.
-        size: tiny, small, 12k or paper.
+        size: sample, tiny, small, 12k or paper.
         data_seed: Seed of the dataset.
-        data_dir: Folder of the datasets.
+        data_dir: Folder of the datasets; None for $COPHY_DATA, or data.
 
     Raises:
         CophyError: A name does not exist, or the data are missing or damaged; the message says what to do.
@@ -81,7 +81,8 @@ def load_truth(
         config = settings("generate", *(f"{key}={value}" for key, value in keys.items() if value is not None))
     except (HydraException, OmegaConfBaseException) as error:
         raise CophyError(explain(error).removesuffix(OWN_FOLDER)) from None
-    config.data_dir = str(data_dir)
+    if data_dir is not None:
+        config.data_dir = str(data_dir)
     (experiments,) = (each for each in generated_by(config) if each.spec.num_objects == config.split.test.num_objects)
     return read_test_split(experiments, config.scenario, config.split).truth
 

@@ -100,7 +100,7 @@ def test_a_dataset_of_many_jobs_is_that_of_one_process(start: Start, slurm: dict
     spec = tiny_spec("collision", **{"experiments_per_shard": 6, "num_experiments.collision.2": 96})
     many, one = (States(spec, tmp_path / name).directory for name in ("many", "one"))
     files = sorted(path.name for path in one.iterdir() if path.suffix in (".h5", ".json"))
-    assert len(files) == 16 + 2  # shards; manifest.json and croissant.json
+    assert len(files) == 16 + 1  # shards and manifest.json
     assert all((many / name).read_bytes() == (one / name).read_bytes() for name in files)
 
 

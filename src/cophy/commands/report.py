@@ -73,10 +73,12 @@ class ComposedData:
         source = size if size in FORMATS else GENERATED
         if source != self.source:
             raise CophyError(f"its data come from source={source}, but these tables are for source={self.source}")
-        counts = self.scenario(scenario).num_objects
+        self.scenario(scenario)
         if source != GENERATED:
             return None
-        return frozenset(self.dataset(scenario, count, size).id for count in counts)
+        composed = self._composed("generate", f"scenario={scenario}", f"size={size}", "data_seed=0")
+        counts = composed.size.num_experiments.get(scenario, {})  # some sizes have few
+        return frozenset(self.dataset(scenario, int(count), size).id for count in counts)
 
     def dataset(
         self, scenario: str, num_objects: int, size: str, data_seed: int = 0, overrides: Sequence[str] = ()

@@ -1,18 +1,16 @@
-"""README.md and croissant.json of a dataset's directory: what it contains and how to load it."""
+"""README.md of a dataset's directory: what it contains and how to load it."""
 
-import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from tabulate import tabulate
 
 from cophy.atomic_files import write_atomically
-from cophy.dataset.shards import Field, Fields
+from cophy.dataset.shards import Fields
 from cophy.dataset.spec import DatasetSpec
 
 CARD = "README.md"
+TEST_TWINS = "test_twins.csv"  # which test experiments are twins, to score predictions with; models must not see it
 
 
 def field_table(fields: Fields) -> str:
@@ -25,14 +23,13 @@ def field_table(fields: Fields) -> str:
     return tabulate(rows, ("array", "type", "axes", "unit", "meaning"), tablefmt="pipe", disable_numparse=True)
 
 
-def write_card(spec: DatasetSpec, directory: Path, *, fields: Fields, checksums: Mapping[str, str], audit: str) -> None:
-    """Write README.md and croissant.json.
+def write_card(spec: DatasetSpec, directory: Path, *, fields: Fields, audit: str) -> None:
+    """Write README.md.
 
     Args:
         spec: The dataset.
         directory: Its directory.
         fields: Fields of one of its shards.
-        checksums: SHA-256 of each of its shards.
         audit: A sentence about the result of an audit.
     """
     clock, scenario = spec.scenario.clock, spec.scenario
@@ -62,7 +59,7 @@ Units: m, s, kg; z up. Splits 0, 1, 2: train, validation, test.
         mass, split = shard["mass"][:], shard["split"][:]
 
 As a torch Dataset, from all shards: `cophy.load("{scenario.name}", size="{spec.size.name}", num_objects={spec.num_objects})`. These
-are the arrays of a shard, and their attributes say the same; `{CROISSANT}` holds it for programs:
+are the arrays of a shard, and their attributes say the same:
 
 {field_table(fields)}
 
@@ -71,7 +68,6 @@ Audit: {audit}
 Licence: Apache-2.0, as cophy.
 """
     write_atomically(directory / CARD, text.encode())
-    write_atomically(directory / CROISSANT, croissant(spec, fields, checksums).encode())
 
 
 def write_image_card(directory: Path, title: str, command: str, fields: Fields) -> None:
@@ -94,78 +90,3 @@ They are compressed with Zstd, which h5py reads once `hdf5plugin` is imported:
 Licence: Apache-2.0, as cophy.
 """
     write_atomically(directory / CARD, text.encode())
-
-
-# metadata in MLCommons' format (http://mlcommons.org/croissant/1.0), which requires the names in CONTEXT
-
-CROISSANT = "croissant.json"
-CROISSANT_NAMES = "citeAs recordSet field source fileSet extract column includes isArray arrayShape"
-CONTEXT = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "sc": "https://schema.org/",
-    "cr": "http://mlcommons.org/croissant/",
-    "dct": "http://purl.org/dc/terms/",
-    "conformsTo": "dct:conformsTo",
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    **{name: f"cr:{name}" for name in CROISSANT_NAMES.split()},
-}
-SHARDS = {
-    "@type": "cr:FileSet",
-    "@id": "shards",
-    "name": "shards",
-    "encodingFormat": "application/x-hdf5",
-    "includes": "shard-*.h5",
-}
-PAPER = "F. Baradel, N. Neverova, J. Mille, G. Mori, C. Wolf: CoPhy: Counterfactual Learning of Physical Dynamics, ICLR 2020"
-TYPES = {"f": "sc:Float", "b": "sc:Boolean", "u": "sc:Integer", "i": "sc:Integer"}  # by letter of NumPy's type
-
-
-def croissant(spec: DatasetSpec, fields: Fields, checksums: Mapping[str, str]) -> str:
-    """Return the metadata of a dataset as JSON."""
-    files = [
-        {
-            "@type": "cr:FileObject",
-            "@id": name,
-            "name": name,
-            "contentUrl": name,
-            "encodingFormat": SHARDS["encodingFormat"],
-            "sha256": checksum,
-        }
-        for name, checksum in checksums.items()
-    ]
-    metadata = {
-        "@context": CONTEXT,
-        "@type": "sc:Dataset",
-        "conformsTo": "http://mlcommons.org/croissant/1.0",
-        "name": f"cophy-{spec.scenario.name}-{spec.id}",
-        "description": f"{spec.num_experiments} counterfactual experiments of {spec.scenario.name} with {spec.num_objects} objects, "
-        "in pairs of twins that differ in their confounders alone",
-        "license": "https://www.apache.org/licenses/LICENSE-2.0",
-        "citeAs": PAPER,
-        "version": f"{spec.generating_configuration()['format']}.0.0",
-        "distribution": [*files, SHARDS],
-        "recordSet": [
-            {
-                "@type": "cr:RecordSet",
-                "@id": "experiments",
-                "name": "experiments",
-                "field": [_field(name, field) for name, field in fields.items()],
-            }
-        ],
-    }
-    return json.dumps(metadata, indent=2) + "\n"
-
-
-def _field(name: str, field: Field) -> dict[str, Any]:
-    unit = f" ({field.unit})" if field.unit else ""
-    array = {"isArray": True, "arrayShape": ",".join(map(str, field.shape[1:]))} if field.shape[1:] else {}
-    return {
-        "@type": "cr:Field",
-        "@id": f"experiments/{name}",
-        "name": name,
-        "description": f"{field.axes}: {field.meaning}{unit}",
-        "dataType": TYPES[field.dtype[1]],
-        "source": {"fileSet": {"@id": SHARDS["@id"]}, "extract": {"column": name}},
-        **array,
-    }

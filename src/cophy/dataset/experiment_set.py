@@ -67,8 +67,11 @@ class NeededFrames:
 
 ALL_FRAMES = NeededFrames("all", whole_cd=True)
 INPUTS = NeededFrames("inputs", supersets=(ALL_FRAMES,), keys="frames=inputs")  # what models see: AB and C
-TEST_INPUTS = NeededFrames("test_inputs", splits=("test",), supersets=(INPUTS, ALL_FRAMES), keys="frames=test_inputs")
-FRAMES = {choice.name: choice for choice in (ALL_FRAMES, INPUTS, TEST_INPUTS)}
+TEST = NeededFrames("test", splits=("test",), whole_cd=True, supersets=(ALL_FRAMES,), keys="frames=test")
+TEST_INPUTS = NeededFrames(
+    "test_inputs", splits=("test",), supersets=(TEST, INPUTS, ALL_FRAMES), keys="frames=test_inputs"
+)
+FRAMES = {choice.name: choice for choice in (ALL_FRAMES, INPUTS, TEST, TEST_INPUTS)}
 
 
 def single_frames(frames: np.ndarray, keys: str) -> NeededFrames:

@@ -16,6 +16,7 @@ from typing import Any
 from tqdm import tqdm
 
 from cophy.atomic_files import appearing_whole, without_leftovers
+from cophy.dataset.archive import Files, copy_shards, files_in_package
 from cophy.dataset.shards import MANIFEST, DamagedShardError, ShardSet
 from cophy.errors import CophyError
 from cophy.locks import NoLocksError, locked
@@ -33,12 +34,19 @@ def ensure(shards: ShardSet, *, workers: int) -> None:
         make(shards, workers=workers)
 
 
-def make(shards: ShardSet, *, workers: int) -> None:
-    """Generate missing and damaged shards; if several processes call this at once, one of them works."""
+def make(shards: ShardSet, *, workers: int, files: Files | None = None) -> None:
+    """Generate missing and damaged shards, or copy them; if several processes call this at once, one of them works.
+
+    Args:
+        shards: The set.
+        workers: Processes that generate.
+        files: Where it is copied from; by default from the package if it is there, otherwise it is generated.
+    """
+    files = files or files_in_package(shards)
     every = range(shards.spec.num_shards)
     with _locked_if_writable(shards.directory) as writable, without_leftovers(shards.directory):
         if writable:
-            _complete(shards, every, workers)
+            _complete(shards, every, workers, files)
         elif not shards.is_finished() or _missing(shards, every):
             raise CophyError(
                 f"{shards.directory} is incomplete and cannot be written to: make it writable, or choose another directory with data_dir="
@@ -57,19 +65,22 @@ def make_part(shards: ShardSet, part: int, parts: int, *, workers: int) -> None:
         make(shards, workers=workers)
         return
     shards.directory.mkdir(parents=True, exist_ok=True)
-    if not _complete(shards, range(part, shards.spec.num_shards, parts), workers):
+    if not _complete(shards, range(part, shards.spec.num_shards, parts), workers, files_in_package(shards)):
         log.info("%s: part %d of %d is complete, others are not", shards.directory, part, parts)
 
 
-def _complete(shards: ShardSet, wanted: Sequence[int], workers: int) -> bool:
-    """Generate missing shards among those wanted. If the set is then complete, write its manifest and return True."""
-    every = range(shards.spec.num_shards)
+def _complete(shards: ShardSet, wanted: Sequence[int], workers: int, files: Files | None) -> bool:
+    """Make missing shards among those wanted. If the set is then complete, write its manifest and return True."""
+    every, versions = range(shards.spec.num_shards), None
     if missing := _missing(shards, wanted):
-        _generate(missing, shards, workers)
+        if files is None:
+            _generate(missing, shards, workers)
+        else:
+            versions = copy_shards(missing, shards, files)
     if wanted != every and (not all(path.exists() for path in shards.paths()) or _missing(shards, every)):
         return False
     if missing or not (shards.directory / MANIFEST).exists():
-        shards.write_manifest()
+        shards.write_manifest(versions)
     _log_complete(shards)
     return True
 

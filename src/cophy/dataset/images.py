@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,6 +14,7 @@ import hdf5plugin
 import numpy as np
 
 from cophy.dataset import generation
+from cophy.dataset.archive import Files, is_available
 from cophy.dataset.cards import write_image_card
 from cophy.dataset.experiment_set import (
     ALL_FRAMES,
@@ -72,6 +73,7 @@ class Images(ShardSet):
             f"render.backend={render.backend.value} {needed.keys}"
         ).rstrip()
         super().__init__(states.spec, states.directory / name, title=f"images of {states.title}", command=command)
+        self.place = None if states.place is None else states.place / name
 
     @property
     def name(self) -> str:
@@ -83,20 +85,20 @@ class Images(ShardSet):
         generation.ensure(self.states, workers=workers)
         generation.ensure(self.best_available(), workers=workers)
 
-    def best_available(self) -> "Images":
-        """Return this set if it is finished, otherwise a finished superset, otherwise this set.
+    def best_available(self, files: Files | None = None) -> "Images":
+        """Return this set if it is finished or can be copied, otherwise such a superset, otherwise this set.
 
         An image is the same in all sets of one resolution and backend, so it is not rendered twice. More modalities are
         preferred to more frames.
         """
-        if self.is_finished():
+        if is_available(self, files):
             return self
         others = [name for name in MODALITIES if name not in self.render.modalities]
         added = [names for count in range(len(others) + 1) for names in itertools.combinations(others, count)]
         for needed, names in itertools.product((self.needed, *self.needed.supersets), added):
             modalities = [name for name in MODALITIES if name in (*self.render.modalities, *names)]
             images = Images(self.states, replace(self.render, modalities=modalities), needed)
-            if images.is_finished():
+            if is_available(images, files):
                 return images
         return self
 
@@ -185,8 +187,8 @@ class Images(ShardSet):
                 advance(1)
             return {"CPU-s inside PyBullet's camera": renderer.camera_seconds}
 
-    def write_manifest(self) -> None:
-        super().write_manifest()
+    def write_manifest(self, versions: Mapping[str, str] | None = None) -> None:
+        super().write_manifest(versions)
         write_image_card(self.directory, self.title, self.command, self.fields(0))
 
     def check(self, shard: int) -> None:

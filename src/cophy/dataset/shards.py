@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
 import h5py
@@ -303,6 +303,7 @@ class ShardSet(ABC):
     """
 
     slow_hint = ""
+    place: PurePosixPath | None = None  # below a data directory, where there may be a copy of it elsewhere
 
     def __init__(self, spec: Sharded, directory: Path, *, title: str, command: str) -> None:
         self.spec, self.directory, self.title, self.command = spec, directory, title, command
@@ -411,14 +412,19 @@ class ShardSet(ABC):
         """Open a shard and yield its arrays, without reading them."""
         return open_file(self.path(shard), self.fields(shard), self.attributes(shard))
 
-    def write_manifest(self) -> None:
-        """Write the manifest of a finished set."""
+    def write_manifest(self, versions: Mapping[str, str] | None = None) -> None:
+        """Write the manifest of a finished set; `versions` are those of the libraries that wrote it, by default today's."""
         manifest = {
             **self.description(),
-            "versions": {name: _version(name) for name in VERSIONS},
+            "versions": versions or {name: _version(name) for name in VERSIONS},
             "shards": {path.name: sha256(path) for path in self.paths()},
         }
         write_atomically(self.directory / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())
+
+    def max_bytes(self, shard: int) -> int:
+        """Return the largest size of a file; ours: twice that of its arrays, and room for what describes them."""
+        arrays = self.fields(shard).values()
+        return 2 * sum(math.prod(each.shape) * np.dtype(each.dtype).itemsize for each in arrays) + (1 << 20)
 
     @contextmanager
     def report_damage(self, shard: int) -> Iterator[None]:
@@ -433,10 +439,9 @@ class ShardSet(ABC):
             ) from error
 
     def _compare(self, shard: int, checksum: str | None) -> None:
-        path, arrays = self.path(shard), self.fields(shard).values()
+        path, most = self.path(shard), self.max_bytes(shard)
         check_plain(path)
-        most = 2 * sum(math.prod(each.shape) * np.dtype(each.dtype).itemsize for each in arrays) + (1 << 20)
-        if path.stat().st_size > most:  # ours: twice what its arrays have, and room for what describes them
+        if path.stat().st_size > most:
             raise DamagedShardError(f"it has more than {most} bytes")
         if checksum is not None and sha256(path) != checksum:
             raise DamagedShardError(f"its checksum is not the one in {MANIFEST}")

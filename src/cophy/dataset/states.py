@@ -3,14 +3,14 @@
 The dataset (`States`) holds states, confounders, do-operation and split of every experiment; images are stored next to it.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from cophy.atomic_files import write_atomically
-from cophy.dataset.cards import write_card
+from cophy.dataset.cards import TEST_TWINS, write_card
 from cophy.dataset.experiment_set import ALL_FRAMES, ExperimentSet, NeededFrames
 from cophy.dataset.images import Images
 from cophy.dataset.shards import MAX_FLOAT, Arrays, Field, Fields, empty_arrays, encode
@@ -25,7 +25,6 @@ from cophy.scenario.rendering import RenderSettings
 HIDDEN = "a confounder: no picture shows it"
 EMPTY = "zero where a slot is empty"
 SHAPES = ", ".join(["0: none", *(f"{shape.value}: {shape.name.lower()}" for shape in Shape)])
-TEST_TWINS = "test_twins.csv"  # which test experiments are twins, to score predictions with; models must not see it
 WHICH_SEQUENCE = "sequence 0 is AB, which is observed, and 1 is CD, the counterfactual"
 MAX_STATE = 1e4  # ours, in m, m/s and rad/s: hundreds of times what happens in any scenario
 
@@ -278,6 +277,7 @@ class States(ExperimentSet):
         directory = spec.directory(data_dir)
         title = f"{spec.scenario.name}, {spec.num_objects} objects"
         super().__init__(spec, directory, title=title, script="generate", keys=spec.command_line_keys(directory))
+        self.place = PurePosixPath(spec.scenario.name, spec.id)
 
     @property
     def id(self) -> str:
@@ -318,17 +318,17 @@ class States(ExperimentSet):
         path.write_bytes(encode(to_arrays(experiments, indices, spec), self.fields(shard), self.attributes(shard)))
         return {"simulations": simulator.num_simulations}
 
-    def write_manifest(self) -> None:
+    def write_manifest(self, versions: Mapping[str, str] | None = None) -> None:
         tested = np.flatnonzero(self.spec.order.split == SPLITS.index("test"))
         columns = np.stack([tested, self.pairs(tested), self.clusters(tested)], axis=1).tolist()
         lines = ["experiment,twin,cluster", *(",".join(map(str, row)) for row in columns)]
         write_atomically(self.directory / TEST_TWINS, ("\n".join(lines) + "\n").encode())
-        super().write_manifest()  # last: it says that the dataset is finished
+        super().write_manifest(versions)  # last: it says that the dataset is finished
         self.write_card(f"not run yet, `{self.command_for('audit')}`")
 
     def write_card(self, audit: str) -> None:
-        """Write README.md and croissant.json; `audit` is a sentence about the result of an audit."""
-        write_card(self.spec, self.directory, fields=self.fields(0), checksums=self.finished_checksums(), audit=audit)
+        """Write README.md; `audit` is a sentence about the result of an audit."""
+        write_card(self.spec, self.directory, fields=self.fields(0), audit=audit)
 
     def description(self) -> dict[str, Any]:
         """Return the configuration and the names of the cells."""
