@@ -23,8 +23,7 @@ from omegaconf.errors import OmegaConfBaseException
 from cophy.atomic_files import MAX_ARRAY_BYTES, read_npz, write_atomically
 from cophy.config import generated_by, settings
 from cophy.dataset.experiment_set import ExperimentSet
-from cophy.dataset.shards import Arrays
-from cophy.dataset.splits import SPLITS, Split
+from cophy.dataset.splits import Split
 from cophy.dataset.states import reduce_to_frames
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
@@ -96,7 +95,7 @@ def read_test_split(experiments: ExperimentSet, scenario: Scenario, split: Split
     if not experiments.is_finished():
         raise CophyError(f"{experiments.directory} is not finished: run `{experiments.command}` first")
     arrays = experiments.load()
-    rows = np.flatnonzero(split.test.select_split(arrays, "test"))
+    rows = np.flatnonzero(split.test.select_split(arrays, "test", scenario))
     if not len(rows):
         raise CophyError(f"split={split.name} has no test experiment in {experiments.directory}: {experiments.remedy}")
     rows = rows[np.argsort(experiments.pairs(rows), kind="stable")]
@@ -122,11 +121,6 @@ def read_test_split(experiments: ExperimentSet, scenario: Scenario, split: Split
         if len(of_kind) > 1
     }
     return TestedSplit(truth, position[:, 0, 1:].copy(), groups, experiments.id, tuple(scenario.colors))
-
-
-def count_training_experiments(arrays: Arrays, split: Split) -> int:
-    """Return the number of training experiments of a split."""
-    return int(split.train.select_split(arrays, SPLITS[0]).sum())
 
 
 def write_template(path: Path, test: TestedSplit) -> None:

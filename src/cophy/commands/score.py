@@ -11,7 +11,6 @@ from omegaconf import DictConfig
 from cophy import cli
 from cophy.atomic_files import sha256
 from cophy.config import generated_by, to_config
-from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError, check_name
 from cophy.schemas import ScoreConfig
 from cophy.scoring import Predictions, Scores, score
@@ -36,12 +35,14 @@ def main(cfg: DictConfig) -> None:
         scores = score(predictions, test.truth)
         run.delete_earlier_results()
         training_set = sets[config.split.train.num_objects]
-        selected = config.split.train.select_split(training_set.load(), SPLITS[0]) if training_set.is_finished() else []
+        num_train = 0  # the training data need not be here
+        if training_set.is_finished():
+            num_train = int(config.split.train.select_split(training_set.load(), "train", config.scenario).sum())
         facts = {
             SCORED_FILE: sha256(path),
             "dataset_ids": [test.dataset_id],
             "groups": scores_of_groups(scores, test),
-            "num_train": int(sum(selected)),  # 0 if the training data are not here
+            "num_train": num_train,
             "num_test": len(scores.experiment),
             "max_epochs": 0,
             "metric_dims": test.truth.metric_dims,

@@ -83,7 +83,7 @@ def opened(root: str, data_dir: Path) -> Iterator[Files]:
     with ExitStack() as stack:
         try:
             if "://" in root:
-                file = stack.enter_context(TemporaryFile(dir=data_dir))
+                file: IO[bytes] = stack.enter_context(TemporaryFile(dir=data_dir))
                 _download(root, file)
             else:
                 check_plain(Path(root))

@@ -108,8 +108,9 @@ class GNS(nn.Module):
         self.encode_node, self.encode_edge = encoder(node_dim, hidden_dim), encoder(OFFSET_DIM, hidden_dim)
         self.processor = nn.ModuleList(MessagePassing(hidden_dim) for _ in range(message_steps))
         self.decode = mlp(hidden_dim, hidden_dim, 3, output_dim=3)
-        with torch.no_grad():
-            self.decode[-1].weight.mul_(INITIAL_ACCELERATION_SCALE)
+        last = self.decode[-1]
+        assert isinstance(last, nn.Linear)
+        nn.init.normal_(last.weight, std=INITIAL_ACCELERATION_SCALE / hidden_dim**0.5)
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Predict D, one step per frame of AB after the first."""
