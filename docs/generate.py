@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from result_claims import claims
-from result_listings import checkpoints, column_meanings
+from result_listings import checkpoints, column_meanings, derenderers
 from result_runs import (
     COLUMNS,
     COPIES,
@@ -145,6 +145,7 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "claims": partial(claims, results),
         "format_4": partial(headlines, format_4),
         "checkpoints": partial(checkpoints, format_4),
+        "derenderers": derenderers,
         "columns": column_meanings,
     }
 

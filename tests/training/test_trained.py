@@ -154,7 +154,8 @@ def make_derenderer(folder: Path, **values: float) -> TrainedDerenderer:
     weights["heads.geometry.4.bias"] += torch.tensor([0.0, 0.0, 0.0, 100.0])  # presence
     values = {"deviation": 0.0, **values}
     weights |= {name: torch.full_like(weights[name], value) for name, value in values.items()}
-    return TrainedDerenderer(saved(folder / "derenderer.ckpt", SMALL_DERENDERER, weights))
+    released = {"source": {"name": "cophy"}, "num_objects": [len(SMALL_DERENDERER["slots"])]}  # of unknown colours
+    return TrainedDerenderer(saved(folder / "derenderer.ckpt", SMALL_DERENDERER, weights, **released))
 
 
 def make_predictor(folder: Path, **origin: Any) -> TrainedPredictor:
