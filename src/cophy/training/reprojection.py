@@ -171,7 +171,7 @@ def in_words(observed: Evidence, initial: Evidence, scenario: Scenario) -> list[
     lines = []
     for slot, name in enumerate(scenario.colors):
         parts = [
-            f"presence {evidence.presence[slot]:.1%} in {sequence}"
+            f"presence {100 * evidence.presence[slot]:.1f} % in {sequence}"
             + ("" if np.isnan(error := evidence.distance_m[slot]) else f", reprojection error {error:.2f} m")
             for sequence, evidence in (("AB", observed), ("C", initial))
         ]

@@ -111,7 +111,8 @@ class TrainedDerenderer:
                     metrics = next((row for row in csv.DictReader(lines) if row["sha256"][:8] == self.name), {})
             elif run.is_file():
                 metrics = json.loads(run.read_bytes())["metrics"]
-            return f"{float(metrics['euclidean_error']):.2f} m, {float(metrics['presence_accuracy']):.1%} presence"
+            error, accuracy = float(metrics["euclidean_error"]), float(metrics["presence_accuracy"])
+            return f"{error:.2f} m, presence correct in {100 * accuracy:.1f} % of slots"
         except (KeyError, TypeError, ValueError, csv.Error):
             return None  # a run that is not over, or an index of earlier weights
 
