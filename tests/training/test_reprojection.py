@@ -126,7 +126,7 @@ def test_c_is_one_do_operation_on_a(sequence: Sequence) -> None:
     observed, slots, scenario = compare(*sequence), slots_of(sequence), sequence.scenario
     still = np.zeros(len(observed.found))
     check_intervention(observed, observed, still, scenario, [len(slots)])
-    with pytest.raises(CophyError, match=f"AB shows {len(slots)} objects .* the de-renderer knows 7 or 8"):
+    with pytest.raises(CophyError, match=f"objects in AB: {len(slots)} .* the de-renderer knows 7 or 8"):
         check_intervention(observed, observed, still, scenario, [8, 7])
     with pytest.raises(CophyError, match=r"C differs from A in .*, .*: only one object"):
         check_intervention(observed, observed, still + 1.0, scenario, [len(slots)])

@@ -139,7 +139,9 @@ def check_intervention(
     in_ab, in_c = observed.found, initial.found
     if in_ab.sum() not in num_objects:
         known = " or ".join(map(str, sorted(num_objects)))
-        raise CophyError(f"AB shows {in_ab.sum()} objects ({_names(in_ab, scenario)}); the de-renderer knows {known}")
+        raise CophyError(
+            f"number of objects in AB: {in_ab.sum()} ({_names(in_ab, scenario)}); the de-renderer knows {known}"
+        )
     if np.any(new := in_c & ~in_ab):
         raise CophyError(f"C shows {_names(new, scenario)}, which AB does not")
     gone = in_ab & ~in_c
