@@ -16,12 +16,29 @@ def checkpoints(results: Results) -> str:
     """The published weights; those whose row of results.csv is another training are marked."""
     rows = []
     for line in read_csv(ROOT / "checkpoints" / "index.csv"):
+        if line["method"] == "derenderer":
+            continue
         runs = results.of(line["scenario"], line["split"], line["method"], r"(\+learning_rate-.*)?", size="small")
         same = f"{next(run['mse'] for run in runs if run['seed'] == 0):.4f}" == line["test_mse"]
         rows.append(
             [f"`{line['file']}`", line["sha256"][:8], f"`{line['choice']}`", line["test_mse"] + ("" if same else " ᶜ")]
         )
     return markdown(["file", "SHA-256", "trained with", "test MSE, m²"], rows)
+
+
+def derenderers() -> str:
+    """The published de-renderers, with their error on their own test images."""
+    rows = [
+        [
+            f"`{line['file']}`",
+            f"`scenario={line['scenario']} {line['choice']}`",
+            f"{float(line['euclidean_error']):.2f}",
+            f"{float(line['presence_accuracy']):.1%}".replace("%", " %"),
+        ]
+        for line in read_csv(ROOT / "checkpoints" / "index.csv")
+        if line["method"] == "derenderer"
+    ]
+    return markdown(["file", "trained with", "mean position error, m", "slots with correct presence"], rows)
 
 
 def column_meanings() -> str:

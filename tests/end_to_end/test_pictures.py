@@ -4,13 +4,19 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
+import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from cophy.dataset.states import States
 from cophy.training.trained import TrainedDerenderer
 from tests.commands import run, train
+from tests.conftest import tiny_spec
+
+LOOK_EXPERIMENT = 4  # experiment= of conf/look.yaml
 
 
-def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> None:
+def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """De-renderer, estimates, a predictor that sees them, and a prediction from files."""
     small = ("scenario=collision", f"source.outputs={tmp_path}")
 
@@ -67,10 +73,28 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path) -> N
     }
     keys = [f"{key}={path}" for key, path in checkpoints.items()]
     files = [f"observed={look / 'AB'}", f"initial={look / 'CD' / '00.png'}", f"truth={look / 'CD'}"]
-    run("predict", *files, *keys, f"background={look / 'background.png'}", f"directory={tmp_path / 'predicted'}")
-    assert (tmp_path / "predicted" / "prediction.gif").read_bytes()[:4] == b"GIF8"
-    assert (tmp_path / "predicted" / "positions.csv").read_text().startswith("frame,object,x_m,y_m,z_m\n0,")
+    predicted = [*files, *keys, f"background={look / 'background.png'}", f"directory={tmp_path / 'predicted'}"]
+    untrained = run("predict", *predicted, code=1)
+    assert "the de-renderer" in untrained.splitlines()[-1]
+    assert not (tmp_path / "predicted").exists()
     swapped = run("predict", *files, f"derenderer={checkpoints['predictor']}", keys[1], code=1)
     assert "not of a de-renderer" in swapped
     short = run("predict", files[1], f"observed={look / 'CD' / '00.png'}", *keys, code=1)
     assert "AB has 1 frames; the predictor needs 15" in short
+
+    spec = tiny_spec("collision")
+    arrays = States(spec, tiny_data).load()
+    states = arrays["states"][LOOK_EXPERIMENT, :, :: spec.scenario.clock.states_per_frame, :, :3]
+    logit = np.where(arrays["presence"][LOOK_EXPERIMENT], 9.0, -9.0).astype(np.float32)
+
+    def exact(derenderer: TrainedDerenderer, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        sequence = int(len(rgb) == 1)  # C
+        return states[sequence, : len(rgb)], np.broadcast_to(logit[sequence], (len(rgb), logit.shape[1]))
+
+    monkeypatch.setattr(TrainedDerenderer, "__call__", exact)
+    text = run("predict", *predicted)
+    assert "presence 100.0 % in AB, reprojection error 0.0" in text
+    assert "test error" not in text  # the predictor was trained on estimates
+    assert (tmp_path / "predicted" / "prediction.gif").read_bytes()[:4] == b"GIF8"
+    assert (tmp_path / "predicted" / "positions.csv").read_text().startswith("frame,object,x_m,y_m,z_m\n0,")
+    assert (tmp_path / "predicted" / "objects.csv").read_text().startswith("sequence,object,presence_probability,")

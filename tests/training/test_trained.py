@@ -181,11 +181,26 @@ def make_derenderer(folder: Path, **values: float) -> TrainedDerenderer:
     weights["heads.geometry.4.bias"] += torch.tensor([0.0, 0.0, 0.0, 100.0])  # presence
     values = {"deviation": 0.0, **values}
     weights |= {name: torch.full_like(weights[name], value) for name, value in values.items()}
-    return TrainedDerenderer(saved(folder / "derenderer.ckpt", SMALL_DERENDERER, weights))
+    released = {"source": {"name": "cophy"}, "num_objects": [len(SMALL_DERENDERER["slots"])]}  # of unknown colours
+    return TrainedDerenderer(saved(folder / "derenderer.ckpt", SMALL_DERENDERER, weights, **released))
 
 
 def make_predictor(folder: Path, **origin: Any) -> TrainedPredictor:
     return predictor_of(saved(folder / "predictor.ckpt", SMALL, weights_of(SMALL), **origin))
+
+
+def test_the_test_error_is_that_of_the_run_or_of_the_index(tmp_path: Path) -> None:
+    (folder := tmp_path / "checkpoints").mkdir()
+    derenderer = make_derenderer(folder)
+    assert derenderer.test_error() is None
+    (tmp_path / "metrics.json").write_text('{"metrics": {"euclidean_error": 0.083, "presence_accuracy": 0.9991}}')
+    assert derenderer.test_error() == "0.08 m, presence correct in 99.9 % of slots"
+    index = folder / "index.csv"
+    index.write_text(f"sha256,euclidean_error,presence_accuracy\n{derenderer.name},0.2,1\n")
+    assert derenderer.test_error() == "0.20 m, presence correct in 100.0 % of slots"
+    for text in ("sha256,test_mse\n", f"sha256,euclidean_error\n{derenderer.name},\n"):
+        index.write_text(text)
+        assert derenderer.test_error() is None
 
 
 def predict_with(derenderer: TrainedDerenderer, predictor: TrainedPredictor) -> Counterfactual:

@@ -14,9 +14,11 @@ log = logging.getLogger(__name__)
 
 @cli.command("predict")
 def main(cfg: DictConfig) -> None:
+    from cophy.atomic_files import write_atomically
     from cophy.drawing.counterfactual import write_counterfactual
     from cophy.drawing.files import read_frames
     from cophy.training.checkpoints import import_network_class
+    from cophy.training.reprojection import in_words, to_csv
     from cophy.training.trained import TrainedDerenderer, TrainedPredictor, check_pair, predict
 
     settings = to_config(cfg, PredictConfig)
@@ -34,5 +36,13 @@ def main(cfg: DictConfig) -> None:
     prediction = predict(observed, initial, derenderer, predictor)
     predicted = prediction.positions, prediction.presence, scenario
     write_counterfactual(directory, *predicted, observed=observed, truth=truth, background=background)
+    evidence = prediction.observed, prediction.initial, scenario
+    write_atomically(directory / "objects.csv", to_csv(*evidence).encode())
+    for line in in_words(*evidence):
+        log.info(line)
+    if predictor.positions != "derendered" and (error := derenderer.test_error()):
+        log.info("the predictor was trained on true positions; the de-renderer's test error is %s", error)
     names = [name for name, present in zip(scenario.colors, prediction.presence, strict=True) if present]
-    log.info("%s: positions.csv, prediction.gif and strip.png; objects in C: %s", directory, ", ".join(names))
+    log.info(
+        "%s: positions.csv, objects.csv, prediction.gif and strip.png; objects in C: %s", directory, ", ".join(names)
+    )

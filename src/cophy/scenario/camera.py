@@ -39,12 +39,14 @@ class Camera:
 
     def project(self, points: np.ndarray, resolution: int) -> np.ndarray:
         """Project (..., 3) metres to (..., 2) pixels of a square image: x to the right, y down, from the upper left corner."""
-        forward = _unit(np.subtract(self.target, self.eye))
-        right = _unit(np.cross(forward, (0.0, 0.0, 1.0)))
-        axes = np.stack([right, np.cross(right, forward), forward])
-        x, y, depth = np.moveaxis((np.asarray(points, dtype=np.float64) - self.eye) @ axes.T, -1, 0)
+        x, y, depth = self._in_view(points)
         scale = 1 / (np.tan(np.radians(self.field_of_view_deg) / 2) * np.maximum(depth, MIN_DEPTH_M))
         return np.stack([1 + x * scale, 1 - y * scale], axis=-1) * (resolution / 2)
+
+    def pixels_per_metre(self, points: np.ndarray, resolution: int) -> np.ndarray:
+        """Return (...) pixels that a metre across the line of sight has at (..., 3) points in metres."""
+        depth = np.maximum(self._in_view(points)[2], MIN_DEPTH_M)
+        return np.asarray(resolution / 2 / (np.tan(np.radians(self.field_of_view_deg) / 2) * depth))
 
     def window_around(self, points: np.ndarray, radius_m: float) -> Window:
         """Return the smallest window that contains balls of this radius around points, (N, 3) metres.
@@ -57,6 +59,13 @@ class Camera:
         edge = float((high - low).max())
         left, top = np.clip((low + high - edge) / 2, 0, 1 - edge).tolist()
         return Window(left, top, edge)
+
+    def _in_view(self, points: np.ndarray) -> np.ndarray:
+        """Return (3, ...) metres to the right, upwards and forwards from the camera."""
+        forward = _unit(np.subtract(self.target, self.eye))
+        right = _unit(np.cross(forward, (0.0, 0.0, 1.0)))
+        axes = np.stack([right, np.cross(right, forward), forward])
+        return np.moveaxis((np.asarray(points, dtype=np.float64) - self.eye) @ axes.T, -1, 0)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

@@ -1,6 +1,8 @@
 """Trained networks from checkpoints: de-renderers, predictors, and both together from images to D (the paper's Fig. 2)."""
 
+import csv
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -26,6 +28,8 @@ from cophy.scenario import Scenario
 from cophy.scenario.rendering import RenderSettings
 from cophy.training.checkpoints import misfit, read_checkpoint, read_file, restore_network
 from cophy.training.metrics import NOT_FINITE
+from cophy.training.reprojection import Evidence, check_intervention, check_seen, compare
+from cophy.types import Inputs
 
 DERENDERER = f"{Derenderer.__module__}.{Derenderer.__name__}"
 FRAMES_PER_BATCH = 32
@@ -44,6 +48,7 @@ class TrainedDerenderer:
         slots: Names of the objects.
         num_objects: Numbers of objects in its training images.
         render: How its training images were rendered.
+        is_generated: Whether its training images were, so that their colours and camera are those of the scenario.
     """
 
     def __init__(self, source: Path) -> None:
@@ -54,6 +59,7 @@ class TrainedDerenderer:
             raise CophyError(f"{source} is a checkpoint of {origin['model']['_target_']}, not of a de-renderer")
         self.scenario, self.split = origin["scenario"]["name"], origin["split"]["name"]
         self.render = _typed(RenderSettings, origin["render"], source)
+        self.is_generated = origin["source"].get("name") == "generated"
         slots, parts = origin["model"].get("slots"), [origin["split"].get(part) for part in ("train", "test")]
         counts = origin["num_objects"] or [part.get("num_objects") for part in parts if isinstance(part, dict)]
         if not isinstance(slots, list) or not counts or not all(isinstance(count, int) for count in counts):
@@ -94,6 +100,21 @@ class TrainedDerenderer:
         position, presence = (torch.cat(parts).cpu().numpy() for parts in zip(*outputs, strict=True))
         _check_finite(np.concatenate([position, presence[..., None]], axis=-1), f"derenderer={self.source}")
         return position, presence
+
+    def test_error(self) -> str | None:
+        """Return its error on its own test images in words, from the run's metrics.json or the index of published weights."""
+        index, run = self.source.parent / "index.csv", self.source.parent.parent / "metrics.json"
+        metrics: Mapping[str, Any] = {}
+        try:
+            if index.is_file():
+                with index.open(newline="") as lines:
+                    metrics = next((row for row in csv.DictReader(lines) if row["sha256"][:8] == self.name), {})
+            elif run.is_file():
+                metrics = json.loads(run.read_bytes())["metrics"]
+            error, accuracy = float(metrics["euclidean_error"]), float(metrics["presence_accuracy"])
+            return f"{error:.2f} m, presence correct in {100 * accuracy:.1f} % of slots"
+        except (KeyError, TypeError, ValueError, csv.Error):
+            return None  # a run that is not over, or an index of earlier weights
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_network": None}
@@ -155,6 +176,7 @@ class TrainedPredictor:
         size: Name of their size. Test it on data of this size: most test experiments of another size were training
             experiments of this one.
         data_seed: Their seed.
+        positions: Where its training positions come from, see conf/train.yaml.
         network: From `Inputs` to `Prediction`.
     """
 
@@ -174,7 +196,7 @@ class TrainedPredictor:
         name = origin["scenario"]["name"]
         if name not in scenarios:
             raise CophyError(f"predictor={source} was trained on the scenario {name}, which does not exist here")
-        self.source, self.data_seed = source, origin["data_seed"]
+        self.source, self.data_seed, self.positions = source, origin["data_seed"], str(origin["positions"])
         self.size = str(origin["size"].get("name"))
         self.scenario: Scenario = _typed(scenarios[name], origin["scenario"], source)
         if model.get("num_frames") not in (None, self.scenario.clock.num_frames):
@@ -212,10 +234,15 @@ def _typed(schema: type[SchemaT], keys: dict[str, Any], source: Path) -> SchemaT
 
 
 class Counterfactual(NamedTuple):
-    """A predicted CD: positions (T, K, 3) in metres, first C and then D; presence (K,) of the objects found in C."""
+    """A predicted CD: positions (T, K, 3) in metres, first C and then D; presence (K,) of the objects found in C.
+
+    observed, initial: how well the estimates of AB and C agree with the images.
+    """
 
     positions: np.ndarray
     presence: np.ndarray
+    observed: Evidence
+    initial: Evidence
 
 
 def check_pair(derenderer: TrainedDerenderer, predictor: TrainedPredictor) -> None:
@@ -243,26 +270,47 @@ def predict(
         predictor: Predicts D from them.
 
     Raises:
-        CophyError: The images do not fit the checkpoints or show no object, or an output is not finite.
+        CophyError: The images do not fit the checkpoints, the de-renderer does not see what they show, or an output is not
+            finite.
     """
-    _check_images(observed, initial, predictor.scenario)
-    position, logit = derenderer(observed)
-    position_in_c, logit_in_c = (
-        np.broadcast_to(value, like.shape)
-        for value, like in zip(derenderer(initial[None]), (position, logit), strict=True)
-    )
-    estimates = {
-        "position": np.stack([position, position_in_c])[None],
-        "presence_logit": np.stack([logit, logit_in_c])[None],
-    }
-    inputs = estimated_inputs(estimates, predictor.scenario)
-    if not inputs.presence.any():
-        raise CophyError("the de-renderer finds no object in C: is it trained, and does the image show its scenario?")
+    inputs, *evidence = see(observed, initial, derenderer, predictor.scenario)
     with torch.no_grad():
         prediction = predictor.network(inputs)
         positions = torch.cat([inputs.initial[:, None], prediction.position], dim=1).numpy()
     _check_finite(positions, f"predictor={predictor.source}")
-    return Counterfactual(positions[0], inputs.presence[0].numpy())
+    return Counterfactual(positions[0], inputs.presence[0].numpy(), *evidence)
+
+
+def see(
+    observed: np.ndarray, initial: np.ndarray, derenderer: TrainedDerenderer, scenario: Scenario
+) -> tuple[Inputs, Evidence, Evidence]:
+    """Estimate AB and C from images, and compare the estimates with these.
+
+    Args:
+        observed: (T, R, R, 3) uint8 RGB frames of AB.
+        initial: (R, R, 3) uint8 RGB image of C.
+        derenderer: Finds the objects in both.
+        scenario: That of the images.
+
+    Returns:
+        The estimates, and how well those of AB and of C agree with the images.
+
+    Raises:
+        CophyError: The images have another shape or number, or the de-renderer does not see what they show.
+    """
+    _check_images(observed, initial, scenario)
+    (position, logit), (position_in_c, logit_in_c) = derenderer(observed), derenderer(initial[None])
+    in_ab = compare(observed, position, logit, scenario, colors_known=derenderer.is_generated)
+    in_c = compare(initial[None], position_in_c, logit_in_c, scenario, colors_known=derenderer.is_generated)
+    check_seen("AB", in_ab, scenario)
+    check_seen("C", in_c, scenario)
+    moved_m = np.linalg.norm(position_in_c[0] - position[0], axis=-1)
+    check_intervention(in_ab, in_c, moved_m, scenario, derenderer.num_objects)
+    estimates = {
+        "position": np.stack([position, np.broadcast_to(position_in_c, position.shape)])[None],
+        "presence_logit": np.stack([logit, np.broadcast_to(logit_in_c, logit.shape)])[None],
+    }
+    return estimated_inputs(estimates, scenario), in_ab, in_c
 
 
 def _check_finite(outputs: np.ndarray, checkpoint: str) -> None:
