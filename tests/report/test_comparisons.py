@@ -95,14 +95,16 @@ def test_methods_are_named_as_on_the_command_line(tmp_path: Path) -> None:
     leave_runs(tmp_path, cophynet=1.0, copy_c=2.0)
     changed = PLACE.with_name("seed0+size-small+max_epochs-7+hidden_dim-8")
     leave(tmp_path / changed, json.dumps(content(variant="+size-small+max_epochs-7+hidden_dim-8")), error=3.0)
-    frame = compare_methods(tmp_path, ["cophynet", "copy_c", "cophynet\+hidden_dim-8"])
+    frame = compare_methods(tmp_path, ["cophynet", "copy_c", "cophynet+hidden_dim-8"])
     mse = frame[frame["measure"] == "mse"]
     assert list(zip(mse["method"], mse["other"], mse["difference"], strict=True)) == [
         ("CoPhyNet", "Copy C", -3.0),
         ("CoPhyNet", "CoPhyNet (hidden_dim-8)", -8.0),
         ("Copy C", "CoPhyNet (hidden_dim-8)", -5.0),
     ]
-    with pytest.raises(CophyError, match=r"no run in .* is of npe; there are: cophynet, cophynet\+hidden_dim-8, copy_c"):
+    with pytest.raises(
+        CophyError, match=r"no run in .* is of npe; there are: cophynet, cophynet\+hidden_dim-8, copy_c"
+    ):
         compare_methods(tmp_path, ["cophynet", "npe"])
     with pytest.raises(CophyError, match="two or more methods"):
         compare_methods(tmp_path, ["cophynet"])

@@ -12,7 +12,7 @@ from scipy.stats import false_discovery_control
 from scipy.stats import t as student_t
 
 from cophy.atomic_files import write_atomically
-from cophy.bootstrap import Ratio, mean
+from cophy.bootstrap import MIN_CLUSTERS, mean, variance_of_mean
 from cophy.errors import CophyError
 from cophy.report import render
 from cophy.report.paper_tables import TRUE_POSITIONS, method_title, methods
@@ -27,7 +27,6 @@ FILES = "comparisons"
 COLUMN = ("scenario", "split", "size", "data")  # runs that agree in these were tested on the same experiments
 DATA_SEED = "data_seed-"
 SIGNIFICANT = 0.05  # false discovery rate
-MIN_CLUSTERS = 6  # of fewer, means are too far from normal
 
 
 class Measure(NamedTuple):
@@ -89,11 +88,11 @@ def difference(ours: Sequence[Scores], others: Sequence[Scores], measure: str) -
         CophyError: The scores are not of the same experiments in the same order.
     """
     paired = compare(average(ours), average(others))
-    parts = [_variance_over_clusters(paired.values[measure], paired.cluster)]
+    parts = [variance_of_mean(paired.values[measure], paired.cluster)]
     for seeds in (ours, others):
         if len(seeds) > 1:
             means = [mean(scores.values[measure]) for scores in seeds]
-            parts.append((float(np.var(means, ddof=1)) / len(means), len(means) - 1))
+            parts.append((np.var(means, ddof=1) / len(means), len(means) - 1))
     value, variance = mean(paired.values[measure]), sum(part for part, _ in parts)
     if parts[0][1] < MIN_CLUSTERS - 1:
         return Difference(value, np.nan, np.nan, np.nan)
@@ -102,18 +101,6 @@ def difference(ours: Sequence[Scores], others: Sequence[Scores], measure: str) -
     freedom, error = variance**2 / sum(part**2 / degrees for part, degrees in parts), np.sqrt(variance)
     half = student_t.ppf(0.975, freedom) * error
     return Difference(value, value - half, value + half, float(2 * student_t.sf(abs(value) / error, freedom)))
-
-
-def _variance_over_clusters(values: np.ndarray | Ratio, clusters: np.ndarray) -> tuple[float, int]:
-    """Return the variance of a mean or ratio (linearised) over the choice of clusters, and its degrees of freedom."""
-    if not isinstance(values, Ratio):
-        counts = ~np.isnan(values)
-        values, clusters = Ratio(values[counts], np.ones(counts.sum())), clusters[counts]
-    _, group = np.unique(clusters, return_inverse=True)
-    total, size = (np.bincount(group, weights=part) for part in values)
-    residual = (total - mean(values) * size) / size.mean()
-    count = len(residual)
-    return (float(residual.var(ddof=1)) / count if count > 1 else np.nan), count - 1
 
 
 def compare_methods(outputs: Path, names: Sequence[str]) -> pd.DataFrame:
