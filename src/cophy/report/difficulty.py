@@ -145,7 +145,7 @@ def _scores(run: dict[Any, Any], predictions: dict[str, np.ndarray], truth: Trut
 
 
 MAX_PANELS_PER_ROW = 4
-PANEL_LETTERS = 42  # that fit next to each other below a panel
+PANEL_IN, PANEL_LETTERS = 2.3, 32  # that fit next to each other below a panel
 MIN_EXPERIMENTS = 40  # of a split, for intervals and lines between thirds
 GROUP_WIDTH = 0.6  # of all models of a group together, as a share of the distance between groups
 EXPLANATION = """# MSE by difficulty
@@ -189,7 +189,7 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
     panels = [by for by in TITLES if by != EVERYTHING and by in set(frame["by"])]
     rows = -(-len(panels) // MAX_PANELS_PER_ROW)
     columns = -(-len(panels) // rows)
-    figure = Figure(figsize=(1.6 + 3.0 * columns, 0.5 + 3.0 * rows), layout="constrained")
+    figure = Figure(figsize=(1.6 + PANEL_IN * columns, 0.5 + PANEL_IN * rows), layout="constrained")
     axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
     axes[0, 0].set_yscale("function", functions=(square_root, np.square))
     for axis, by in zip(axes.flat, panels, strict=False):
@@ -200,19 +200,17 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
     for first in axes[:, 0]:
         first.set_ylabel("MSE (m²), square-root scale")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside right center", frameon=False, title="MSE, 95 % interval", fontsize="small"
-    )
-    count = frame["experiments"].max()
-    few = "" if count >= MIN_EXPERIMENTS else ": too few for intervals"
-    figure.suptitle(f"{title}, {count} test experiments{few}", fontsize="medium")
+    caption = "too few experiments\nfor intervals" if _are_few(frame) else "95 % intervals"
+    look = {"frameon": False, "title": caption, "fontsize": "small", "title_fontsize": "small"}
+    figure.legend(handles, labels, loc="outside right center", **look)
+    figure.suptitle(f"{title}, {frame['experiments'].max()} test experiments", fontsize="medium")
     return figure
 
 
 def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
     models = _drawn_rows(frame)
     looks = {name: style(n) for n, name in enumerate(sort_rows(frame["row"].unique()))}
-    are_few = frame["experiments"].max() < MIN_EXPERIMENTS
+    are_few = _are_few(frame)
     panel = frame[frame["by"] == by]
     groups = panel["group"].unique().tolist()
     for n, name in enumerate(models):
@@ -227,6 +225,10 @@ def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
     axis.set_xlim(-0.5, len(groups) - 0.5)
     axis.set_title(title, fontsize="medium")
     axis.grid(axis="y", alpha=0.2)
+
+
+def _are_few(frame: pd.DataFrame) -> bool:
+    return bool(frame["experiments"].max() < MIN_EXPERIMENTS)
 
 
 def _drawn_rows(frame: pd.DataFrame) -> list[str]:
