@@ -1,6 +1,6 @@
 """Is a row better on one split than on another? python benchmarks/results/compare_splits.py cophynet 3to3_unseen 3to3_seen [outputs]
 
-A row is named as compare_rows.py names it. A split is that of a run: where runs were trained on, too, not only tested. Splits that
+A row is a model and what its runs change, as their directories have it: cophynet+max_epochs-55, in+ablation-gt_confounders. A split is that of a run: where runs were trained on, too, not only tested. Splits that
 have no experiment in common are joined by +: 3to3_unseen+3to3_seen. Prints a Markdown table with a line for each scenario, kind of
 positions and size: the seeds that both have, both MSE (mean over seeds), and their difference with its 95 % interval. Of two splits
 that are tested on experiments of one dataset, those in both are compared, one by one; else two samples are, and the interval is
@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from compare_rows import run_of
 from scipy.stats import bootstrap
 
 from cophy.bootstrap import NUM_RESAMPLES
 from cophy.config import folder
 from cophy.report.predictions import stored_scores
+from cophy.report.runs import read_line
 from cophy.training.run import METRICS
 
 ALIKE = ["scenario", "positions", "size"]  # in both
@@ -38,6 +38,14 @@ def main(row: str, split: str, other: str, outputs: Path) -> None:
     if not lines:
         sys.exit(f"{outputs}: no seed of {row} was run on both {split} and {other}")
     print(pd.DataFrame(lines).to_markdown(index=False, floatfmt=".3f"))
+
+
+def run_of(path: Path) -> dict[str, object]:
+    """Return the line of a run, with the name of its row."""
+    line = read_line(path)
+    ablation = "" if line["ablation"] == "full" else f"+ablation-{line['ablation']}"
+    variant = line["variant"].replace(f"+size-{line['size']}", "")
+    return line | {"name": f"{line['model']}{ablation}{variant}"}
 
 
 def compared(runs: pd.DataFrame, splits: list[str], others: list[str]) -> dict[str, object]:

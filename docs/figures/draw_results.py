@@ -232,7 +232,9 @@ def errors_over_time(data: dict[str, ExperimentDataset], held: dict[str, Held], 
 def curves_of_clusters(predicted: np.ndarray, held: Held) -> np.ndarray:
     """Return the mean position error of each cluster at every frame, (cluster, T) metres; it is 0 in C."""
     members = [held.arrays["cluster"] == number for number in np.unique(held.arrays["cluster"])]
-    curves = [error_over_time(predicted[m], held.true[m], held.presence[m], dims=held.dims) for m in members]
+    curves = [
+        error_over_time(predicted[m], held.true[m], held.presence[m], dims=held.dims).mean(axis=0) for m in members
+    ]
     return np.pad(curves, ((0, 0), (1, 0)))
 
 

@@ -1,4 +1,4 @@
-"""Means over experiments, and their bootstrap intervals."""
+"""Means over experiments, their bootstrap intervals, and their variance over clusters."""
 
 from typing import NamedTuple
 
@@ -7,6 +7,7 @@ from scipy.stats import bootstrap
 
 NUM_RESAMPLES = 2000
 MAX_RESAMPLES_AT_ONCE = 100  # in memory
+MIN_CLUSTERS = 6  # for intervals from variances: means over fewer are too far from normal
 
 
 class Ratio(NamedTuple):
@@ -63,6 +64,27 @@ def interval(values: np.ndarray | Ratio, clusters: np.ndarray) -> tuple[float, f
         rng=np.random.default_rng(0),
     )
     return float(result.confidence_interval.low), float(result.confidence_interval.high)
+
+
+def variance_of_mean(values: np.ndarray | Ratio, clusters: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the variance of the mean or ratio (linearised) over the choice of clusters, and its degrees of freedom.
+
+    Args:
+        values: One per experiment, or one per experiment and column; NaN where it does not count.
+        clusters: (experiment,) cluster of each experiment.
+
+    Returns:
+        The variance, or that of each column; NaN for fewer than two clusters.
+    """
+    parts = values if isinstance(values, Ratio) else Ratio(np.nan_to_num(values), ~np.isnan(values))
+    numerator, denominator = (np.reshape(part, (len(clusters), -1)) for part in parts)
+    counts = denominator.any(axis=1)
+    _, group = np.unique(clusters[counts], return_inverse=True)
+    total, size = (_sums(part[counts], group) for part in (numerator, denominator))
+    residual = (total - total.sum(axis=0) / size.sum(axis=0) * size) / size.mean(axis=0)
+    count = len(residual)
+    variance = np.square(residual).sum(axis=0) / (count * (count - 1)) if count > 1 else np.full(total.shape[1], np.nan)
+    return np.reshape(variance, parts.numerator.shape[1:]), count - 1
 
 
 def _sums(columns: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -332,13 +332,15 @@ class PredictConfig:
 
 @dataclass
 class ReportConfig:
-    """Keys of report.py. source: that of the runs' data. outputs: where train.py wrote its runs. all: print all rows."""
+    """Keys of report.py. source: that of the runs' data. outputs: where train.py wrote its runs. all: print all rows.
+    compare: only compare these methods."""
 
     source: Source = MISSING
     outputs: str = MISSING
     data_dir: str = MISSING
     directory: str = MISSING
     all: bool = False
+    compare: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         _check_folders(self)

@@ -22,10 +22,11 @@ def content(**changes: Any) -> dict[str, Any]:
 
 
 def leave(directory: Path, metrics: str | bytes, error: float = 0.0) -> None:
-    """What train.py leaves of a run, with predictions of two twin pairs that are all `error` metres off in every coordinate."""
+    """What train.py leaves of a run, with predictions of two twin pairs, 1 m apart, that are all `error` metres off in every coordinate."""
     directory.mkdir(parents=True, exist_ok=True)
     (directory / "metrics.json").write_bytes(metrics.encode() if isinstance(metrics, str) else metrics)
     position, present = torch.zeros(4, 5, 3, 3), torch.ones(4, 3, dtype=torch.bool)
+    position[1::2] = 1.0
     targets = Targets(
         position, torch.ones(4, 5, 3, dtype=torch.bool), present, position[:, 0], present,
         torch.zeros(4, 3, 2, dtype=torch.long), torch.arange(4) // 2, torch.zeros(4, dtype=torch.long),

@@ -36,18 +36,6 @@ def test_pairs_of_other_data_are_not_compared_one_by_one(
     assert line[5:9] == [said, "4.000", "1.000", "3.000 [3.000, 3.000]"]
 
 
-@pytest.mark.parametrize("script", ["compare_rows"], indirect=True)
-def test_positions_are_compared_where_they_are_named(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for positions, error in (("ground_truth", 1.0), ("derendered", 2.0)):
-        place = PLACE.parents[1] / positions / PLACE.name
-        leave(tmp_path / place, json.dumps(content(positions=positions, variant="")), error=error)
-    script.main("cophynet@derendered", "cophynet@ground_truth", tmp_path)
-    line = [cell.strip() for cell in capsys.readouterr().out.splitlines()[-1].split("|")]
-    assert line[-4:-1] == ["4.000", "1.000", "3.000 [3.000, 3.000]"]
-
-
 @pytest.mark.parametrize("script", ["keep_results"], indirect=True)
 def test_a_run_keeps_the_commit_that_made_it(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -27,10 +27,15 @@ DATA_OVERRIDE = re.compile(r"\+\+(scenario|size)\.[\w.]+=[^${}]*")
 
 @cli.command("report")
 def main(cfg: DictConfig) -> None:
+    config = to_config(cfg, ReportConfig)
+    if config.compare:
+        from cophy.report.comparisons import write_comparisons  # imports SciPy, which --help does not need
+
+        write_comparisons(Path(config.outputs), Path(config.directory), config.compare)
+        return
     from cophy.report.pipeline import Configurations, write_report  # matplotlib takes a second; --help does not need it
     from cophy.study.report import read_supplement
 
-    config = to_config(cfg, ReportConfig)
     data = ComposedData(config.source.name, Path(config.data_dir))
     dataset = data.dataset if config.source.is_generated else None
     configurations = Configurations(data.scenario, data.default_split, dataset, data.dataset_ids)

@@ -3,10 +3,13 @@
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from cophy.atomic_files import write_atomically
 from cophy.scenario import Camera
@@ -14,10 +17,21 @@ from cophy.scenario import Camera
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}  # the axes shown
 FRAMES_PER_MARKER = 4
 MIN_VIEW_M = 2.0  # keeps tiny movements from filling the figure
+LEGEND_LETTERS = 18  # in a line of a legend next to a figure
+MIN_HEIGHT_CHANGE_M = 0.05  # of an object, for a view from the side
+# Okabe and Ito, without yellow: distinct for the colour-blind
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+LINES, MARKERS = ("-", "--", ":", "-."), "osD^"
+
+
+def style(n: int) -> dict[str, str]:
+    """Return colour, line and marker of the n-th line of a figure."""
+    repeat = n // len(PALETTE) % len(LINES)
+    return {"color": PALETTE[n % len(PALETTE)], "linestyle": LINES[repeat], "marker": MARKERS[repeat]}
 
 
 def write_figure(path: Path, figure: Figure) -> None:
-    """Write a figure as PNG and PDF, with the same layout.
+    """Write a figure as PNG and vector PDF with text as text, in the same layout.
 
     Args:
         path: The path without a suffix.
@@ -28,7 +42,8 @@ def write_figure(path: Path, figure: Figure) -> None:
         figure.set_layout_engine(None)  # savefig would compute it again for each file
     for kind, options in (("png", {"dpi": 110}), ("pdf", {"metadata": {"CreationDate": None}})):
         file = io.BytesIO()
-        figure.savefig(file, format=kind, **options)
+        with rc_context({"pdf.fonttype": 42}):  # TrueType: text stays text
+            figure.savefig(file, format=kind, **options)
         write_atomically(path.with_name(f"{path.name}.{kind}"), file.getvalue())
 
 
@@ -47,7 +62,9 @@ def draw_trajectories(
     title: str = "",
     headings: Sequence[str] = (),
 ) -> Figure:
-    """Draw predicted and true trajectories of a few experiments, from above and from the side, each object in its colour.
+    """Draw predicted and true trajectories of a few experiments, each object in its colour, from above.
+
+    If an object rises or falls, they are also drawn from the side.
 
     Squares are C, circles the truth, crosses the prediction (as in the paper's figure of predictions), at every fourth
     frame and the last. Twins, which share C, have the same axis limits.
@@ -61,11 +78,13 @@ def draw_trajectories(
         title: title of the figure.
         headings: one for each experiment, or none.
     """
-    count = len(initial)
-    figure = Figure(figsize=(3.0 * count, 6.8), layout="constrained")
+    count, heights = len(initial), np.concatenate([initial[:, None], true], axis=1)[..., 2]
+    is_flat = (np.ptp(heights, axis=1)[presence] < MIN_HEIGHT_CHANGE_M).all()
+    views = list(VIEWS.items())[: 1 if is_flat else None]
+    figure = Figure(figsize=(3.0 * count, 3.0 * len(views) + 0.8), layout="constrained")
     figure.suptitle(title, fontsize="medium")
-    axes = figure.subplots(len(VIEWS), count, squeeze=False)
-    for (view, (right, up)), row, titles in zip(VIEWS.items(), axes, (headings, ()), strict=True):
+    axes = figure.subplots(len(views), count, squeeze=False)
+    for (view, (right, up)), row, titles in zip(views, axes, (headings, ()), strict=False):
         for n, axis in enumerate(row):
             for slot in np.flatnonzero(presence[n]).tolist():
                 style = {"color": colors[slot], "markerfacecolor": "none"}
@@ -137,7 +156,7 @@ def draw_centres(
 
 
 def error_over_time(predicted: np.ndarray, true: np.ndarray, presence: np.ndarray, *, dims: int) -> np.ndarray:
-    """Return the mean position error at every step: mean over present objects, then over experiments.
+    """Return the position error of each experiment at every step: the mean over present objects.
 
     Args:
         predicted: (N, T-1, K, 3) positions in D, metres.
@@ -146,24 +165,44 @@ def error_over_time(predicted: np.ndarray, true: np.ndarray, presence: np.ndarra
         dims: number of coordinates that count.
 
     Returns:
-        (T-1,) Euclidean distance, metres.
+        (N, T-1) Euclidean distance, metres.
     """
     distance = np.linalg.norm((predicted - true)[..., :dims], axis=-1)
-    per_experiment = (distance * presence[:, None]).sum(axis=-1) / presence.sum(axis=-1)[:, None]
-    return np.asarray(per_experiment.mean(axis=0))
+    return np.asarray((distance * presence[:, None]).sum(axis=-1) / presence.sum(axis=-1)[:, None])
 
 
-def draw_error_over_time(curves: Mapping[str, np.ndarray], *, frame_rate_hz: float, title: str = "") -> Figure:
-    """Draw `error_over_time` of each model as a line; the legend starts with the largest final error."""
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axis = figure.subplots()
+def draw_error_over_time(
+    curves: Mapping[str, np.ndarray],
+    *,
+    frame_rate_hz: float,
+    title: str = "",
+    half_widths: Mapping[str, np.ndarray] | None = None,
+) -> Figure:
+    """Draw the mean position error of each model over time as a line; the legend starts with the largest final error.
+
+    Args:
+        curves: (T-1,) errors of each model, m.
+        frame_rate_hz: Frames per second.
+        title: Title of the figure.
+        half_widths: (T-1,) half of the 95 % interval over clusters, m, drawn as a band unless it is NaN.
+    """
+    figure = Figure(figsize=(5.0, 3.2), layout="constrained")
+    axis, lines = figure.subplots(), []
+    bands = {name: width for name, width in (half_widths or {}).items() if not np.isnan(width).any()}
     for n, (name, curve) in enumerate(curves.items()):
-        dashes = "-" if n < 10 else "--"  # there are ten colours
-        axis.plot((1 + np.arange(len(curve))) / frame_rate_hz, curve, dashes, label=name, lw=1.5)
+        time, look = (1 + np.arange(len(curve))) / frame_rate_hz, style(n)
+        lines += axis.plot(
+            time, curve, look["linestyle"], color=look["color"], label=fill(name, LEGEND_LETTERS), lw=1.5
+        )
+        if name in bands:
+            axis.fill_between(time, curve - bands[name], curve + bands[name], color=look["color"], alpha=0.15, lw=0)
     axis.set(xlabel="time (s)", ylabel="position error (m)", title=title, xlim=(0, None), ylim=(0, None))
+    axis.title.set_fontsize("medium")
     axis.grid(alpha=0.2)
-    lines = sorted(axis.get_lines(), key=lambda line: -float(np.asarray(line.get_ydata())[-1]))
-    figure.legend(handles=lines, loc="outside right center", frameon=False, fontsize="small")
+    handles = sorted(lines, key=lambda line: -float(np.asarray(line.get_ydata())[-1]))
+    band = [Patch(color="0.8", label="95 % interval\nover clusters")] if bands else []
+    if len(curves) > 1 or bands:
+        figure.legend(handles=[*handles, *band], loc="outside right center", frameon=False, fontsize="small")
     return figure
 
 

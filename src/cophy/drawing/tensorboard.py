@@ -213,7 +213,7 @@ class DrawnPredictions:
         initial, predicted, true, presence = (
             tensor.numpy() for tensor in (targets.initial, prediction.position, targets.position, targets.presence)
         )
-        error = error_over_time(predicted, true, presence, dims=self.scenario.task.metric_dims)
+        error = error_over_time(predicted, true, presence, dims=self.scenario.task.metric_dims).mean(axis=0)
         rate, colors = self.scenario.clock.frame_rate_hz, list(self.scenario.colors.values())
         figures = {
             "trajectories": draw_trajectories(initial, predicted, true, presence, colors=colors),

@@ -16,8 +16,8 @@ from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
 from cophy.dataset.states import clusters_of, sort_by_twins
-from cophy.drawing.plots import square_root
-from cophy.report.figures import row_name, sort_rows
+from cophy.drawing.plots import square_root, style
+from cophy.report.figures import row_name, row_title, sort_rows
 from cophy.report.runs import comparable_seeds
 from cophy.scenario import Scenario
 from cophy.scoring import Predictions, Scores, Truth, average, score
@@ -145,7 +145,8 @@ def _scores(run: dict[Any, Any], predictions: dict[str, np.ndarray], truth: Trut
 
 
 MAX_PANELS_PER_ROW = 4
-PANEL_LETTERS = 42  # that fit next to each other below a panel
+PANEL_IN, PANEL_LETTERS = 2.3, 32  # that fit next to each other below a panel
+MIN_EXPERIMENTS = 40  # of a split, for intervals and lines between thirds
 GROUP_WIDTH = 0.6  # of all models of a group together, as a share of the distance between groups
 EXPLANATION = """# MSE by difficulty
 
@@ -188,7 +189,7 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
     panels = [by for by in TITLES if by != EVERYTHING and by in set(frame["by"])]
     rows = -(-len(panels) // MAX_PANELS_PER_ROW)
     columns = -(-len(panels) // rows)
-    figure = Figure(figsize=(1.6 + 3.0 * columns, 0.5 + 3.0 * rows), layout="constrained")
+    figure = Figure(figsize=(1.6 + PANEL_IN * columns, 0.5 + PANEL_IN * rows), layout="constrained")
     axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
     axes[0, 0].set_yscale("function", functions=(square_root, np.square))
     for axis, by in zip(axes.flat, panels, strict=False):
@@ -198,28 +199,36 @@ def _panels(frame: pd.DataFrame, title: str, titles: Mapping[str, str]) -> Figur
         axis.set_axis_off()
     for first in axes[:, 0]:
         first.set_ylabel("MSE (m²), square-root scale")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right center", frameon=False, fontsize="small")
-    figure.suptitle(title, fontsize="medium")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    caption = "too few experiments\nfor intervals" if _are_few(frame) else "95 % intervals"
+    look = {"frameon": False, "title": caption, "fontsize": "small", "title_fontsize": "small"}
+    figure.legend(handles, labels, loc="outside right center", **look)
+    figure.suptitle(f"{title}, {frame['experiments'].max()} test experiments", fontsize="medium")
     return figure
 
 
 def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
     models = _drawn_rows(frame)
-    colors = {name: f"C{n}" for n, name in enumerate(sort_rows(frame["row"].unique()))}
+    looks = {name: style(n) for n, name in enumerate(sort_rows(frame["row"].unique()))}
+    are_few = _are_few(frame)
     panel = frame[frame["by"] == by]
     groups = panel["group"].unique().tolist()
     for n, name in enumerate(models):
         row = panel[panel["row"] == name]
         x = [groups.index(group) + GROUP_WIDTH * ((n + 0.5) / len(models) - 0.5) for group in row["group"]]
-        ends = [row["mse"] - row["low"], row["high"] - row["mse"]]
-        line = "" if by in CATEGORIES else "-"
-        axis.errorbar(x, row["mse"], ends, fmt=f"o{line}", ms=4, lw=1.2, color=colors[name], label=name)
+        ends = None if are_few else [row["mse"] - row["low"], row["high"] - row["mse"]]
+        look = looks[name] | ({"linestyle": ""} if are_few or by in CATEGORIES else {})
+        axis.errorbar(x, row["mse"], ends, ms=4, lw=1.2, label=row_title(name), **look)
     room = PANEL_LETTERS // len(groups)
     labels = [textwrap.fill(group, room, break_long_words=False) for group in groups]
     axis.set_xticks(range(len(groups)), labels, fontsize="small")
     axis.set_xlim(-0.5, len(groups) - 0.5)
     axis.set_title(title, fontsize="medium")
     axis.grid(axis="y", alpha=0.2)
+
+
+def _are_few(frame: pd.DataFrame) -> bool:
+    return bool(frame["experiments"].max() < MIN_EXPERIMENTS)
 
 
 def _drawn_rows(frame: pd.DataFrame) -> list[str]:
@@ -250,7 +259,7 @@ def _table(frame: pd.DataFrame) -> str:
 def _wide(frame: pd.DataFrame) -> str:
     cells = frame.assign(by=frame["by"].map(TITLES)).rename(columns={"experiments": "n"})
     wide = cells.pivot_table(index=["by", "group", "n"], columns="row", values="text", aggfunc="first", sort=False)
-    return str(wide[_by_error(frame)].reset_index().to_markdown(index=False))
+    return str(wide[_by_error(frame)].rename(columns=row_title).reset_index().to_markdown(index=False))
 
 
 def _by_error(frame: pd.DataFrame) -> list[str]:

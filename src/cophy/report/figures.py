@@ -1,23 +1,29 @@
 """Figures of the report: predicted trajectories, error over time, tables as bars, and the stability distribution."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import compress
 from pathlib import Path
 from textwrap import fill
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
-from cophy.drawing.plots import draw_error_over_time, draw_trajectories
+from cophy.drawing.plots import PALETTE, draw_error_over_time, draw_trajectories
+from cophy.report.paper_tables import method_title
 from cophy.report.predictions import StoredPredictions
 from cophy.report.runs import comparable_seeds, largest_size
 from cophy.report.tables import FilledTable
 from cophy.scenario import Scenario
 from cophy.scenario.towers import TOWER_CELLS
 
-GREY, BLUE, RED = "#b9bec6", "#2b6fd6", "#d1342f"
+GREY, BLUE, ORANGE = "#b9bec6", *PALETTE[:2]
+METRIC_LABELS = {"mse": "MSE (m²)", "pixel_error": "pixel error at 448 × 448 (pixels)"}  # others are shares in %
 LINE_LENGTH = 14  # characters in a line of a panel's title, unless a word is longer
 BAR_IN, CHARACTER_IN, MIN_WIDTH_IN = 0.42, 0.1, 6.4  # inches
+LETTERS_PER_IN = 11  # of a figure's title
 
 
 def draw_predictions(
@@ -42,21 +48,28 @@ def draw_predictions(
     for keys, tested in runs.groupby(["scenario", "split", "positions"]):
         group = largest_size(tested)
         name, split, positions = map(str, keys)
-        scenario, curves = scenarios[name], {}
+        scenario, curves, bands = scenarios[name], dict[str, np.ndarray](), dict[str, np.ndarray]()
         place = f"{name}-{split}" if positions == "ground_truth" else f"{name}-{split}-{positions}"
-        title = place.replace("-", ", ").replace("_", " ") + ", test split"
-        for (model, ablation), of_row in group.groupby(["model", "ablation"]):
-            seeds, row = comparable_seeds(of_row), row_name(str(model), str(ablation))
+        title = (
+            place.replace("-", ", ").replace("_", " ")
+            + f"\nsize {group['size'].iloc[0]}, {group['num_test'].max():.0f} test experiments"
+        )
+        of_rows = {row_name(*map(str, keys)): runs for keys, runs in group.groupby(["model", "ablation"])}
+        for row in sort_rows(of_rows):
+            seeds = comparable_seeds(of_rows[row])
             count = seeds["num_test"].min()
-            label = row if count == group["num_test"].max() else f"{row} (first {count:.0f})"
-            curves[label] = np.mean([stored[directory].error_over_time for directory in seeds["directory"]], axis=0)
+            shown = "" if count == group["num_test"].max() else f"\n(first {count:.0f})"
+            label = f"{row_title(row)}{shown}"
+            predictions = [stored[directory] for directory in seeds["directory"]]
+            curves[label] = np.mean([each.error_over_time for each in predictions], axis=0)
+            bands[label] = np.mean([each.half_width for each in predictions], axis=0)
             if all_trajectories or (row, split, positions) == ("cophynet", scenario.task.splits[0], "ground_truth"):
                 first = stored[seeds["directory"].iloc[0]].examples
-                heading = f"{row}, seed {seeds['seed'].iloc[0]}\n{title}"
+                heading = f"{row_title(row)}, seed {seeds['seed'].iloc[0]}\n{title}"
                 yield f"trajectories-{place}-{row.replace(' ', '-')}", _trajectories(first, scenario, heading)
-        ordered = {label: curves[label] for label in sort_rows(curves)}
         rate = scenario.clock.frame_rate_hz
-        yield f"error_over_time-{place}", draw_error_over_time(ordered, frame_rate_hz=rate, title=title)
+        figure = draw_error_over_time(curves, frame_rate_hz=rate, title=title, half_widths=bands)
+        yield f"error_over_time-{place}", figure
 
 
 def _trajectories(examples: dict[str, np.ndarray], scenario: Scenario, title: str) -> Figure:
@@ -68,8 +81,13 @@ def _trajectories(examples: dict[str, np.ndarray], scenario: Scenario, title: st
 
 
 def row_name(model: str, ablation: str) -> str:
-    """Return the name of a row in figures and overviews."""
+    """Return the name of a row in overviews and file names."""
     return model if ablation == "full" else f"{model} {ablation}"
+
+
+def row_title(row: str) -> str:
+    """Return the printed name of a row."""
+    return method_title(*row.split(" ", 1))
 
 
 def sort_rows(rows: Iterable[str]) -> list[str]:
@@ -78,7 +96,7 @@ def sort_rows(rows: Iterable[str]) -> list[str]:
 
 
 def draw_bars(filled: FilledTable) -> Figure:
-    """Draw the cells of a table that were run as bars: ours with interval or standard deviation, the paper's in grey."""
+    """Draw the cells of a table that were run as bars: ours with interval or standard deviation, and the paper's."""
     table, values = filled.table, filled.values[filled.values["seeds"] > 0]
     groups, bars = ("column", "row") if table.methods_in == "rows" else ("row", "column")
     panels = {_wrap(str(label)): group for label, group in values.groupby(groups, sort=False)}
@@ -93,15 +111,22 @@ def draw_bars(filled: FilledTable) -> Figure:
         low, high = (
             np.where(group["seeds"] > 1, group["sd"], (group["ours"] - group[end]).abs()) for end in ("low", "high")
         )
-        colors = [RED if best else BLUE for best in group["best"]]
+        colors = [ORANGE if best else BLUE for best in group["best"]]
         axis.bar(at - 0.2, group["ours"], 0.4, color=colors, yerr=np.nan_to_num([low, high]), error_kw={"lw": 0.8})
         axis.bar(at + 0.2, group["paper"].astype(float).fillna(0), 0.4, color=GREY)
         axis.set_xticks(at, group[bars], rotation=60, ha="right", fontsize="small")
         axis.set_xlim(-0.6, len(group) - 0.4)
         axis.set_title(label, fontsize="medium")
         axis.grid(axis="y", alpha=0.2)
-    axes[0].set_ylabel(fill(table.title.split(":")[-1].strip(), 50), fontsize="small")
-    figure.suptitle(f"{table.title.split(':')[0]}: ours (blue, best red), the paper's (grey)", fontsize="medium")
+    metric = str(values["metric"].iloc[0])
+    axes[0].set_ylabel(next((text for name, text in METRIC_LABELS.items() if metric.startswith(name)), "correct (%)"))
+    legend = {"ours": BLUE, "ours, best": ORANGE, "the paper's": GREY}
+    is_drawn = [True, values["best"].any(), values["paper"].notna().any()]
+    handles = [Patch(color=color, label=label) for label, color in compress(legend.items(), is_drawn)]
+    deviation = Line2D([], [], color="k", lw=0.8, label="sd over seeds; 95 % interval of one seed")
+    figure.legend(handles=[*handles, deviation], loc="outside lower center", ncols=4, frameon=False, fontsize="small")
+    letters = int(LETTERS_PER_IN * figure.get_figwidth())
+    figure.suptitle(fill(table.title, letters), fontsize="medium")
     return figure
 
 
@@ -135,7 +160,7 @@ def draw_stability_distribution(datasets: dict[int, dict[str, np.ndarray]]) -> F
             axis.set_title(f"{name}, K = {count}" if len(share) > 3 else name, fontsize="medium")
             axis.set_ylim(0, 100)
             axis.tick_params(axis="x", rotation=90 if len(share) > 3 else 0, labelsize="small")
-        row[0].set_ylabel("experiments, %")
+        row[0].set_ylabel("experiments (%)")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=2, frameon=False)
     return figure
@@ -146,10 +171,10 @@ def _values(arrays: dict[str, np.ndarray], num_blocks: int) -> dict[str, np.ndar
     height = np.where(arrays["presence"][:, 0], arrays["states"][:, 0, 0, :, 2], np.inf)
     blocks = height.argsort(axis=1)[:, :num_blocks]
     return {
-        "mass, kg": _combinations(np.take_along_axis(arrays["mass"], blocks, axis=1)),
+        "mass (kg)": _combinations(np.take_along_axis(arrays["mass"], blocks, axis=1)),
         "friction": _combinations(np.take_along_axis(arrays["friction"], blocks, axis=1)),
-        "gravity x, m/s²": _combinations(arrays["gravity"][:, :1]),
-        "gravity y, m/s²": _combinations(arrays["gravity"][:, 1:2]),
+        "gravity x (m/s²)": _combinations(arrays["gravity"][:, :1]),
+        "gravity y (m/s²)": _combinations(arrays["gravity"][:, 1:2]),
     }
 
 

@@ -117,6 +117,15 @@ def methods() -> dict[str, Method]:
     return {name: Method(name, **keys) for name, keys in _description()["methods"].items()}
 
 
+def method_title(model: str, ablation: str = "full") -> str:
+    """Return the printed name of a method: that of the paper's tables, or one made of the names of model and ablation."""
+    titles = {(method.model, method.ablation): method.title for method in methods().values()}
+    if (model, ablation) in titles:
+        return titles[model, ablation]
+    title = titles.get((model, "full"), model)
+    return title if ablation == "full" else f"{title}, {ablation.replace('_', ' ')}"
+
+
 @cache
 def paper_tables() -> tuple[PaperTable, ...]:
     """Return all tables of the paper that runs can fill, those on estimated positions last."""

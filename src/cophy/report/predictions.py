@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import t as student_t
 
+from cophy.bootstrap import MIN_CLUSTERS, variance_of_mean
 from cophy.drawing.plots import error_over_time
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
@@ -40,11 +42,13 @@ class StoredPredictions:
     Attributes:
         scores: Per experiment.
         error_over_time: (T-1,) mean position error, m.
+        half_width: (T-1,) half of its 95 % interval over clusters, m; NaN for fewer than MIN_CLUSTERS.
         examples: The arrays of the first experiments, see `read_predictions`.
     """
 
     scores: Scores
     error_over_time: np.ndarray
+    half_width: np.ndarray
     examples: dict[str, np.ndarray]
 
 
@@ -75,6 +79,8 @@ def _read(run: dict[Any, Any], scenario: Scenario) -> StoredPredictions | None:
     except (CophyError, OSError) as error:
         log.warning("%s is skipped: %s", run["directory"], error)
         return None
-    curve = error_over_time(arrays["position"], arrays["target"], arrays["presence"], dims=dims)
+    errors = error_over_time(arrays["position"], arrays["target"], arrays["presence"], dims=dims)
+    variance, degrees = variance_of_mean(errors, scores.cluster)
+    quantile = student_t.ppf(0.975, degrees) if degrees >= MIN_CLUSTERS - 1 else np.nan
     examples = {name: array[:NUM_EXAMPLES].copy() for name, array in arrays.items()}
-    return StoredPredictions(scores, curve, examples)
+    return StoredPredictions(scores, errors.mean(axis=0), quantile * np.sqrt(variance), examples)

@@ -13,7 +13,16 @@ from cophy.report.runs import MISSING
 from cophy.report.tables import FilledTable
 
 SHARE = "Share of the possible gain, (oracle without AB - ours) / (oracle without AB - oracle with AB)"
-LATEX = {"→": r"$\rightarrow$", "†": r"$\dagger$", "±": r"$\pm$", "×": r"$\times$", "—": "--", "%": r"\%", "_": r"\_"}
+LATEX = {
+    "→": r"$\rightarrow$",
+    "†": r"$\dagger$",
+    "±": r"$\pm$",
+    "×": r"$\times$",
+    "—": "--",
+    "%": r"\%",
+    "_": r"\_",
+    "<": "$<$",
+}
 WIDTH_FOR_INTERVALS = 100  # columns of the terminal
 MAX_LABEL, WHOLE_HEADING, GAP = 28, 12, 3  # characters
 
@@ -108,21 +117,22 @@ def markdown(filled: FilledTable) -> str:
 def latex(filled: FilledTable) -> str:
     """Return a table environment (needs booktabs), the best in bold; the caption explains the cells."""
     cells = table_cells(filled).map(lambda cell: _latex_cell(cell).line(bold=(r"\textbf{", "}")))
-    cells = cells.rename(index=_to_latex, columns=_to_latex)
-    title = _to_latex(f"{filled.table.title}. {caption(filled)}")
+    cells = cells.rename(index=to_latex, columns=to_latex)
+    title = to_latex(f"{filled.table.title}. {caption(filled)}")
     return str(cells.to_latex(caption=title, label=f"tab:{filled.table.id}", escape=False))
 
 
 def _latex_cell(cell: Cell) -> Cell:
     return cell._replace(
-        ours=_to_latex(cell.ours),
-        deviation=_to_latex(cell.deviation),
-        interval=_to_latex(cell.interval),
-        paper=_to_latex(cell.paper),
+        ours=to_latex(cell.ours),
+        deviation=to_latex(cell.deviation),
+        interval=to_latex(cell.interval),
+        paper=to_latex(cell.paper),
     )
 
 
-def _to_latex(text: str) -> str:
+def to_latex(text: str) -> str:
+    """Return a text with special characters as commands of LaTeX."""
     return "".join(LATEX.get(character, character) for character in text)
 
 

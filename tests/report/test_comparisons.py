@@ -1,0 +1,160 @@
+"""Comparisons of methods: the statistics against closed forms and by simulation, and what is printed and written."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import false_discovery_control, kstest, ttest_1samp, ttest_ind
+
+from cophy.bootstrap import Ratio
+from cophy.errors import CophyError
+from cophy.report.comparisons import compare_methods, count_tables, difference, write_comparisons
+from cophy.scoring import Scores
+from tests.report.lines import scores_of_mse
+from tests.report.stored_runs import PLACE, content, leave
+
+
+def scored(mse: np.ndarray, clusters: np.ndarray | None = None) -> Scores:
+    return scores_of_mse(mse, np.arange(len(mse)) if clusters is None else clusters)
+
+
+def test_one_seed_each_is_a_paired_t_test_over_clusters() -> None:
+    rng = np.random.default_rng(0)
+    ours, others = rng.exponential(size=(2, 40))
+    clusters = np.arange(40) // 4
+    means = (ours - others).reshape(10, 4).mean(axis=1)
+    expected = ttest_1samp(means, 0.0)
+    value, low, high, p = difference([scored(ours, clusters)], [scored(others, clusters)], "mse")
+    assert (value, p) == pytest.approx((means.mean(), expected.pvalue))
+    assert (low, high) == pytest.approx(tuple(expected.confidence_interval()))
+
+
+def test_seeds_alone_are_a_welch_test() -> None:
+    """Where the difference is the same in all experiments, only training seeds vary."""
+    ours, others = [0.1, 0.2, 0.4, 0.3], [0.5, 0.9, 0.6]
+    expected = ttest_ind(ours, others, equal_var=False)
+    result = difference(*([scored(np.full(20, mean)) for mean in means] for means in (ours, others)), "mse")
+    assert result.p == pytest.approx(expected.pvalue)
+    assert result[1:3] == pytest.approx(tuple(expected.confidence_interval()))
+
+
+def test_ratios_are_linearised() -> None:
+    """With equal denominators, a ratio is a mean; a cluster with twice the denominator is not two clusters."""
+    rng = np.random.default_rng(1)
+    parts, size, clusters = rng.normal(size=(2, 30)), np.full(30, 2.0), np.arange(30) // 2
+
+    def explained(part: np.ndarray, size: np.ndarray) -> list[Scores]:
+        return [Scores(np.arange(30), clusters, np.zeros(30), {"explained": Ratio(part, size)})]
+
+    as_means = difference(*([scored(part / size, clusters)] for part in parts), "mse")
+    assert difference(*(explained(part, size) for part in parts), "explained") == pytest.approx(as_means)
+    doubled = difference(*(explained(2 * part, 2 * size) for part in parts), "explained")
+    assert doubled == pytest.approx(as_means)
+
+
+def test_too_few_clusters_have_no_interval_and_equal_methods_do_not_differ() -> None:
+    few = difference([scored(np.arange(5.0))], [scored(np.ones(5))], "mse")
+    assert few.value == 1.0
+    assert np.isnan(few[1:]).all()
+    same = [scored(np.arange(8.0))]
+    assert difference(same, same, "mse") == (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_without_a_difference_p_is_uniform_or_larger_and_the_interval_covers(seeds: int) -> None:
+    rng, results = np.random.default_rng(seeds), []
+    for _ in range(300):
+        experiment = rng.exponential(size=60)  # hard for both methods alike
+        methods = [
+            [
+                scored(
+                    experiment + 0.3 * rng.normal() * (seeds > 1) + 0.5 * np.repeat(rng.normal(size=30), 2),
+                    np.arange(60) // 2,
+                )
+                for _ in range(seeds)
+            ]
+            for _ in range(2)
+        ]
+        results.append(difference(*methods, "mse"))
+    p = np.array([result.p for result in results])
+    assert 0.92 <= np.mean([result.low <= 0 <= result.high for result in results]) <= 0.99
+    assert kstest(p, "uniform", alternative="greater").pvalue > 0.001
+    assert np.mean(p < 0.5) > 0.35
+
+
+def leave_runs(outputs: Path, **errors: np.ndarray | float) -> None:
+    """Leave one run per model that is off by so much in every coordinate."""
+    for model, error in errors.items():
+        place = Path(*PLACE.parts[:2], model, *PLACE.parts[3:])
+        leave(outputs / place, json.dumps(content(model=model, variant="")), error=float(error))
+
+
+def test_methods_are_named_as_on_the_command_line(tmp_path: Path) -> None:
+    leave_runs(tmp_path, cophynet=1.0, copy_c=2.0)
+    changed = PLACE.with_name("seed0+size-small+max_epochs-7+hidden_dim-8")
+    leave(tmp_path / changed, json.dumps(content(variant="+size-small+max_epochs-7+hidden_dim-8")), error=3.0)
+    frame = compare_methods(tmp_path, ["cophynet", "copy_c", "cophynet+hidden_dim-8"])
+    mse = frame[frame["measure"] == "mse"]
+    assert list(zip(mse["method"], mse["other"], mse["difference"], strict=True)) == [
+        ("CoPhyNet", "Copy C", -3.0),
+        ("CoPhyNet", "CoPhyNet (hidden_dim-8)", -8.0),
+        ("Copy C", "CoPhyNet (hidden_dim-8)", -5.0),
+    ]
+    with pytest.raises(
+        CophyError, match=r"no run in .* is of npe; there are: cophynet, cophynet\+hidden_dim-8, copy_c"
+    ):
+        compare_methods(tmp_path, ["cophynet", "npe"])
+    with pytest.raises(CophyError, match="two or more methods"):
+        compare_methods(tmp_path, ["cophynet"])
+
+
+def test_estimated_positions_are_another_method(tmp_path: Path) -> None:
+    for positions, error in (("ground_truth", 1.0), ("derendered", 2.0)):
+        place = PLACE.parents[1] / positions / PLACE.name
+        leave(tmp_path / place, json.dumps(content(positions=positions, variant="")), error=error)
+    frame = compare_methods(tmp_path, ["cophynet@derendered", "cophynet"])
+    assert frame["difference"].iloc[0] == 3.0
+    assert frame["method"].iloc[0] == "CoPhyNet (estimated positions)"
+
+
+def test_other_experiments_are_not_compared(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    leave_runs(tmp_path, cophynet=1.0, copy_c=2.0)
+    path = tmp_path / Path(*PLACE.parts[:2], "copy_c", *PLACE.parts[3:]) / "predictions.npz"
+    arrays = dict(np.load(path))
+    np.savez_compressed(path, **(arrays | {"target": arrays["target"] + 1}))
+    with pytest.raises(CophyError, match="no two of"):
+        compare_methods(tmp_path, ["cophynet", "copy_c"])
+    assert "CoPhyNet and Copy C were tested on different experiments" in " ".join(caplog.text.split())
+
+
+def test_wins_ties_and_losses_are_those_of_corrected_tests() -> None:
+    lines = pd.DataFrame({
+        "scenario": "collision", "split": ["a", "b", "c", "d"], "size": "small", "data": "", "measure": "mse",
+        "method": "A", "other": "B", "p": [0.001, 0.04, 0.01, np.nan], "outcome": [1, 0, -1, 0],
+    })  # fmt: skip
+    ((_, table, tested),) = count_tables(lines)
+    assert table.loc["A", "B"] == "1 / 1 / 1"
+    assert table.loc["B", "A"] == "1 / 1 / 1"
+    assert "collision d" not in tested
+
+
+def test_all_pairs_are_written_and_those_of_the_first_method_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("cophy.report.comparisons.MIN_CLUSTERS", 2)
+    leave_runs(tmp_path, cophynet=1.0, copy_c=2.0, npe=1.0)
+    write_comparisons(tmp_path, tmp_path / "report", ["cophynet", "copy_c", "npe"])
+    printed = capsys.readouterr().out
+    assert "CoPhyNet vs Copy C: MSE" in printed
+    assert "Copy C vs NPE: MSE" not in printed
+    assert max(map(len, printed.splitlines())) <= 80
+    markdown, latex = ((tmp_path / "report" / f"comparisons.{kind}").read_text() for kind in ("md", "tex"))
+    assert "Copy C vs NPE: MSE" in markdown
+    assert latex.count(r"\toprule") == markdown.count("## ") == 8
+    assert "-3.000* [-3.000, -3.000]" in markdown
+    frame = pd.read_csv(tmp_path / "report" / "comparisons.csv")
+    mse = frame[frame["measure"] == "mse"]
+    assert mse["p_adjusted"].to_numpy() == pytest.approx(false_discovery_control(mse["p"]))
