@@ -27,7 +27,11 @@ DATA_OVERRIDE = re.compile(r"\+\+(scenario|size)\.[\w.]+=[^${}]*")
 
 @cli.command("report")
 def main(cfg: DictConfig) -> None:
-    from cophy.report.pipeline import Configurations, write_report  # matplotlib takes a second; --help does not need it
+    from cophy.report.pipeline import (
+        Configurations,
+        View,
+        write_report,
+    )  # matplotlib takes a second; --help does not need it
     from cophy.study.report import read_supplement
 
     config = to_config(cfg, ReportConfig)
@@ -36,7 +40,8 @@ def main(cfg: DictConfig) -> None:
     configurations = Configurations(data.scenario, data.default_split, dataset, data.dataset_ids)
     outputs = Path(config.outputs)
     supplement = read_supplement(outputs, data.dataset)
-    write_report(outputs, Path(config.directory), configurations, supplement, show_all=config.all)
+    view = View(config.models, config.splits, config.paper)
+    write_report(outputs, Path(config.directory), configurations, supplement, view)
 
 
 class ComposedData:
