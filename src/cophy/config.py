@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import re
-from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -28,7 +28,7 @@ from cophy.dataset.source import generated_sets
 from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.schemas import AuditConfig, DataConfig, DerenderConfig, TrainConfig, register
-from cophy.training.run import differences, plain_value
+from cophy.training.run import differences, plain_value, short_keys
 
 OPEN = ("trainer.",)  # takes any argument of lightning.Trainer with +
 _PACKAGE = Path(cophy.__file__).parent
@@ -190,22 +190,16 @@ LONGEST = 100  # characters; file systems allow 255
 IGNORED = {field.name for field in fields(TrainConfig)} - {*COMPARED, *COMPARED_FOR_DERENDERERS}
 
 
-def variant(config: DictConfig, hydra_config: HydraConf) -> str:
-    """Return what a run changes beyond its names, "" for nothing.
-
-    Equal configurations have the same variant, in whatever order their keys are written. It has no `=` and `,`, because a path
-    with these would need quotes twice as the value of a key (`ckpt=`, `derenderer=`).
+def changes(config: DictConfig, hydra_config: HydraConf) -> dict[str, Any]:
+    """Return what a run changes beyond its names, key -> value: choices of groups first, then keys in alphabetical order.
 
     Args:
         config: The configuration of the run.
         hydra_config: What Hydra says of it: the choices of groups, and the overrides of the command line.
-
-    Returns:
-        For example "+confounders-released+hidden_dim-8"; if that is long, its beginning and a hash of all.
     """
     keys = {_key_of(override) for override in hydra_config.overrides.task} - {*PATH_GROUPS}
     if {key.partition(".")[0] for key in keys} <= IGNORED:
-        return ""
+        return {}
     choices, sources = hydra_config.runtime.choices, str(hydra_config.runtime.config_sources)
     names = [f"{group}={choices[group]}" for group in PATH_GROUPS]
     expected = _compose_choices(sources, *names)
@@ -219,12 +213,20 @@ def variant(config: DictConfig, hydra_config: HydraConf) -> str:
         for key, value in differences(root, plain_value(config, root), plain_value(expected, root))
         if not (_is_reference(config, key) and _is_reference(expected, key))
     }
-    last_words = Counter(key.rpartition(".")[2] for key in changed)
-    parts = [(group, choices[group]) for group in groups]
-    for key in sorted(changed):
-        last_word = key.rpartition(".")[2]
-        parts.append((last_word if last_words[last_word] == 1 else key, changed[key]))
-    text = "+".join(f"{key}-{_to_path(value)}" for key, value in parts)
+    return {group: choices[group] for group in groups} | dict(sorted(changed.items()))
+
+
+def variant(changed: Mapping[str, Any]) -> str:
+    """Return what a run changes beyond its names (see `changes`) as part of its directory's name, "" for nothing.
+
+    Equal configurations have the same variant, in whatever order their keys are written. It has no `=` and `,`, because a path
+    with these would need quotes twice as the value of a key (`ckpt=`, `derenderer=`).
+
+    Returns:
+        For example "+confounders-released+hidden_dim-8"; if that is long, its beginning and a hash of all.
+    """
+    short = short_keys(key for key in changed if key not in CHOICES)
+    text = "+".join(f"{short.get(key, key)}-{_to_path(value)}" for key, value in changed.items())
     if len(text) > LONGEST:
         text = f"{text[: LONGEST - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
     return f"+{text}" if text else ""
@@ -248,16 +250,21 @@ def _is_reference(config: DictConfig, key: str) -> bool:
     return isinstance(node, DictConfig) and name in node and OmegaConf.is_interpolation(node, name)
 
 
-def _to_path(value: Any) -> str:
-    """Return a value as part of a directory's name; for a value with keys of its own, a hash."""
+def value_text(value: Any) -> str:
+    """Return a value as text; for a value with keys of its own, a hash."""
     if isinstance(value, dict):
         return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:6]
-    return re.sub(r"[^\w.-]+", "_", str(value)).strip("_")
+    return str(value)
+
+
+def _to_path(value: Any) -> str:
+    """Return a value as part of a directory's name."""
+    return re.sub(r"[^\w.-]+", "_", value_text(value)).strip("_")
 
 
 def _resolve_variant(*, _root_: DictConfig) -> str:
     """Return `${variant:}`, which conf/train.yaml puts into the directory of a run."""
-    return variant(_root_, _root_.hydra)
+    return variant(changes(_root_, _root_.hydra))
 
 
 def _resolve_outputs(*, _root_: DictConfig) -> str:

@@ -332,14 +332,17 @@ class PredictConfig:
 
 @dataclass
 class ReportConfig:
-    """Keys of report.py. source: that of the runs' data. outputs: where train.py wrote its runs. all: print all rows.
-    compare: only compare these methods."""
+    """Keys of report.py. source: that of the runs' data. outputs: where train.py wrote its runs. models, splits: only these.
+    paper: whether to show the paper's tables; None for what runs fill of them. compare: only compare these methods.
+    """
 
     source: Source = MISSING
     outputs: str = MISSING
     data_dir: str = MISSING
     directory: str = MISSING
-    all: bool = False
+    models: list[str] = field(default_factory=list)
+    splits: list[str] = field(default_factory=list)
+    paper: bool | None = None
     compare: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:

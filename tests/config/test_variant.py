@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cophy.config import LONGEST, composed, variant
+from cophy.config import LONGEST, changes, composed, variant
 from tests.commands import train
 
 PATIENT = "training.callbacks.early_stopping.patience=20"
@@ -14,7 +14,7 @@ PATIENT = "training.callbacks.early_stopping.patience=20"
 
 def variant_of(*overrides: str) -> str:
     config = composed("train", *overrides, return_hydra_config=True)
-    return variant(config, config.hydra)
+    return variant(changes(config, config.hydra))
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ def test_metrics_are_means_with_their_intervals(run: Run) -> None:
     finish(run, num_test=4)
     content = json.loads((run.directory / "metrics.json").read_text())
     results = {"metrics": {"mse": 2.0}, "intervals": {"mse": [2.0, 2.0]}, "copies": {"copy_c": 5.0}}
-    assert content == {**run.names(), "num_test": 4, **results}
+    assert content == {**run.names(), "changes": {}, "num_test": 4, **results}
 
 
 def test_predictions_are_read_as_they_were_written(tmp_path: Path, tower_batch: Batch) -> None:

@@ -33,7 +33,7 @@ def main(cfg: DictConfig) -> None:
 
         write_comparisons(Path(config.outputs), Path(config.directory), config.compare)
         return
-    from cophy.report.pipeline import Configurations, write_report  # matplotlib takes a second; --help does not need it
+    from cophy.report.pipeline import Configurations, View, write_report  # matplotlib takes a second, likewise
     from cophy.study.report import read_supplement
 
     data = ComposedData(config.source.name, Path(config.data_dir))
@@ -41,7 +41,8 @@ def main(cfg: DictConfig) -> None:
     configurations = Configurations(data.scenario, data.default_split, dataset, data.dataset_ids)
     outputs = Path(config.outputs)
     supplement = read_supplement(outputs, data.dataset)
-    write_report(outputs, Path(config.directory), configurations, supplement, show_all=config.all)
+    view = View(config.models, config.splits, config.paper)
+    write_report(outputs, Path(config.directory), configurations, supplement, view)
 
 
 class ComposedData:

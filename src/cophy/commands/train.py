@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 
 from cophy import cli
 from cophy.atomic_files import sha256
-from cophy.config import experiments_of, to_config, to_plain, variant
+from cophy.config import changes, experiments_of, to_config, to_plain, value_text, variant
 from cophy.dataset.source import GENERATED
 from cophy.errors import CophyError
 from cophy.schemas import ESTIMATED, TrainConfig, register
@@ -59,14 +59,15 @@ def main(cfg: DictConfig) -> float:
 
 def make_run(cfg: DictConfig) -> Run:
     """Return the names and directory of the run that a configuration describes."""
-    choices = HydraConfig.get().runtime.choices
+    choices, changed = HydraConfig.get().runtime.choices, changes(cfg, HydraConfig.get())
     return Run(
         **{group: choices[group] for group in ("scenario", "split", "model", "ablation")},
         size=choices["size"] if choices["source"] == GENERATED else choices["source"],  # released data have one size
         positions=cfg.positions,
         seed=cfg.seed,
-        variant=variant(cfg, HydraConfig.get()),
+        variant=variant(changed),
         directory=Path(HydraConfig.get().runtime.output_dir),
+        changes={key: value_text(value) for key, value in changed.items()},
     )
 
 
@@ -84,6 +85,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     import lightning as L
     import torch
 
+    from cophy.dataset.features import declared_inputs
     from cophy.training.checkpoints import build_network, make_origin
     from cophy.training.reuse import fingerprint, hash_code, record_finished
     from cophy.training.trainer import (
@@ -150,6 +152,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
             derenderer, predictor = getattr(data, "derenderer", None), path_of(config.predictor)
             facts |= {
                 "dataset_ids": data.dataset_ids,
+                "inputs": declared_inputs(plain["model"]),
                 "derenderer": derenderer.name if derenderer else None,
                 "predictor": sha256(predictor)[:8] if predictor else None,
                 "num_train": len(data.train),

@@ -12,6 +12,8 @@ from typing import Any
 import yaml
 from hydra.core.config_store import ConfigStore
 
+from cophy.training.run import short_keys
+
 TRUE_POSITIONS, ESTIMATED_IN_TESTING = "ground_truth", "train_ground_truth_test_derendered"
 SIMULATED = ("oracle_", "noise_floor")  # how the names of models of cophy.oracles begin
 
@@ -117,13 +119,22 @@ def methods() -> dict[str, Method]:
     return {name: Method(name, **keys) for name, keys in _description()["methods"].items()}
 
 
-def method_title(model: str, ablation: str = "full") -> str:
-    """Return the printed name of a method: that of the paper's tables, or one made of the names of model and ablation."""
+def method_title(model: str, ablation: str = "full", changes: Mapping[str, str] | None = None) -> str:
+    """Return the printed name of a method: that of the paper's tables, or one made of the names of model and ablation.
+
+    Args:
+        model: Name of the model.
+        ablation: Name of the ablation.
+        changes: What the method changes beyond these, key -> value. Keys are shortened to their last word where it is unique.
+    """
     titles = {(method.model, method.ablation): method.title for method in methods().values()}
-    if (model, ablation) in titles:
-        return titles[model, ablation]
-    title = titles.get((model, "full"), model)
-    return title if ablation == "full" else f"{title}, {ablation.replace('_', ' ')}"
+    title = titles.get((model, ablation))
+    if title is None:
+        title = titles.get((model, "full"), model)
+        title = title if ablation == "full" else f"{title}, {ablation.replace('_', ' ')}"
+    if not changes:
+        return title
+    return f"{title} ({', '.join(f'{key}={changes[name]}' for name, key in short_keys(changes).items())})"
 
 
 @cache

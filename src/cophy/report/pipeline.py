@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +17,19 @@ from cophy.dataset.states import States
 from cophy.drawing.plots import write_figure
 from cophy.errors import CophyError
 from cophy.report import figures, render
-from cophy.report.overview import TWINS_CAPTION, overview_tables, summarize_runs, twin_tables
+from cophy.report.methods import method_cells, method_tables
 from cophy.report.paper_tables import paper_tables
 from cophy.report.predictions import StoredPredictions, read_stored_predictions
-from cophy.report.runs import DatasetIds, notice, read_runs
-from cophy.report.tables import FilledTable, fill
+from cophy.report.runs import DatasetIds, filter_runs, notice, read_runs, standard_runs
+from cophy.report.sweeps import draw_sweep, find_sweeps, sweep_table
+from cophy.report.tables import fill
 from cophy.scenario import Scenario
 from cophy.workers import worker_pool
 
 log = logging.getLogger(__name__)
 
-OVERVIEW = "MSE of the test split, m² (epochs of training × seeds)."
 NUM_PROCESSES, MANY_FIGURES = 2, 16  # figures take most of the time of a report; from so many on, processes write them
 MAX_FAILURES = 5  # printed; runs.csv has all
-SUMMARY_COLUMNS = ("run", "seeds", "epochs", "training (s)", "mse", "final position error")  # in the terminal
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Configurations:
         default_split: Returns the default split of the scenario of a name.
         dataset: Returns a generated dataset, by name of the scenario, number of objects and name of the size; None where
             the runs are on other data, which have no twins, margins or balance.
-        dataset_ids: See `read_runs`.
+        dataset_ids: See `standard_runs`.
     """
 
     scenario: Callable[[str], Scenario]
@@ -68,6 +68,20 @@ class Supplement:
     figures: dict[str, Figure] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class View:
+    """Which runs and tables a report shows.
+
+    Attributes:
+        models, splits: See `filter_runs`.
+        paper: Whether it shows the paper's tables; None for those that runs fill, as far as they do.
+    """
+
+    models: list[str] = field(default_factory=list)
+    splits: list[str] = field(default_factory=list)
+    paper: bool | None = None
+
+
 class Report:
     """Tables and figures of the runs in a folder.
 
@@ -75,57 +89,57 @@ class Report:
         outputs: Where train.py wrote its runs.
         configurations: What the names of runs stand for.
         supplement: Results of human participants.
-        show_all: Whether empty tables, captions and a line for each run are printed, and all trajectories drawn, too.
+        view: Which runs and tables are shown.
 
     Raises:
         CophyError: There is nothing to report.
     """
 
-    def __init__(
-        self, outputs: Path, configurations: Configurations, supplement: Supplement | None = None, *, show_all: bool
-    ) -> None:
-        runs = read_runs(outputs, configurations.dataset_ids)
-        self.supplement, self.unused = supplement or Supplement(), runs.attrs["unused"]
-        self.configurations, self.show_all = configurations, show_all
-        self.stored: dict[Path, StoredPredictions] = {}
+    def __init__(self, outputs: Path, configurations: Configurations, supplement: Supplement, view: View) -> None:
+        runs = read_runs(outputs)
+        self.configurations, self.supplement, self.view = configurations, supplement, view
+        self.unused, self.stored = int(runs.attrs["unused"]), dict[Path, StoredPredictions]()
         if len(runs):
+            runs = filter_runs(runs, view.models, view.splits)
             predictors = runs[runs["error"].isna() & ~runs["model"].str.startswith("derenderer")]
-            self.stored = read_stored_predictions(predictors, configurations.scenario)
+            self.stored = read_stored_predictions(predictors)
             self.unused += len(predictors) - len(self.stored)
             runs = runs[~runs["directory"].isin(set(predictors["directory"]) - set(self.stored))]
-        if runs.empty and not self.supplement.tables:
+        if runs.empty and not supplement.tables:
             if self.unused:
                 raise CophyError(f"outputs={outputs}: no run can be reported, for the reasons above")
             raise CophyError(f"outputs={outputs}: there are no runs; train.py writes them (python src/train.py --help)")
         self.runs = runs if len(runs) else pd.DataFrame()
-        self.finished = runs[runs["error"].isna()] if len(runs) else self.runs
+        self.cells = method_cells(runs) if len(runs) else pd.DataFrame()
+        self.tables = list(method_tables(self.cells)) if len(runs) else []
+        self.sweeps = list(find_sweeps(self.cells)) if len(runs) else []
+        standard = standard_runs(runs, configurations.dataset_ids) if len(runs) else self.runs
+        self.finished = standard[standard["error"].isna()] if len(standard) else pd.DataFrame()
         names = self.finished["scenario"].unique() if len(self.finished) else ()
         self.scenarios = {str(name): configurations.scenario(str(name)) for name in names}
         scores = {directory: predictions.scores for directory, predictions in self.stored.items()}
-        self.filled = [fill(table, self.runs, scores, self.supplement.participants) for table in paper_tables()]
-        self.twins, self.difficulty = twin_tables(self.runs), self._mse_by_difficulty()
+        tables = paper_tables() if view.paper is not False else ()
+        filled = [fill(table, standard, scores, supplement.participants) for table in tables]
+        self.filled = [table for table in filled if table.has_runs or view.paper]
+        self.difficulty = self._mse_by_difficulty()
 
     def show(self) -> None:
-        """Print what was run and the paper's tables as far as runs fill them."""
-        tables = overview_tables(self.runs)
-        for number, (title, table) in enumerate(tables.items(), start=1):
-            render.show(f"What was run: {title}", table, OVERVIEW if number == len(tables) else "")
+        """Print the tables of all runs, their sweeps, and the paper's tables."""
+        for table in self.tables:
+            render.show(table.title, table.cells, table.note)
         self._show_failures()
+        for table in map(sweep_table, self.sweeps):
+            render.show(table.title, table.cells, table.note)
         for filled in self.filled:
-            self._show_table(filled)
-        empty = sum(not filled.has_runs for filled in self.filled)
-        if empty and not self.show_all:
-            log.info(notice(f"{empty} tables have no runs yet: all=true prints them."))
-        for title, table in self.twins.items():
-            render.show(title, table)
-        if self.twins:
-            log.info(notice(TWINS_CAPTION))
-        for title, table in self.supplement.tables.items():
-            render.show(title, table, self.supplement.caption)
-        if self.show_all and len(self.runs):
-            summary = summarize_runs(self.runs)
-            columns = [name for name in SUMMARY_COLUMNS if name in summary]
-            render.show("Everything that was run", summary[columns].set_index("run"))
+            table, *shares = render.paper_text_tables(filled, whole=bool(self.view.paper))
+            better = "Lower" if filled.table.lower_is_better else "Higher"
+            render.show(
+                table.title, table.cells, f"Ours, the paper's below it. {better} is better. {filled.left_out}".strip()
+            )
+            for share in shares:
+                render.show(share.title, share.cells)
+        for title, cells in self.supplement.tables.items():
+            render.show(title, cells, self.supplement.caption)
 
     def _show_failures(self) -> None:
         failed = self.runs[self.runs["error"].notna()].to_dict("records") if len(self.runs) else []
@@ -134,22 +148,9 @@ class Report:
         if failed:
             log.info(notice("Run the same command again, or remove the folder of a failed run to forget it."))
 
-    def _show_table(self, filled: FilledTable) -> None:
-        if not filled.has_runs and not self.show_all:
-            return
-        cells, shares = render.table_cells(filled), render.share_cells(filled)
-        if self.show_all:
-            render.show(filled.table.title, cells, render.caption(filled))
-        else:
-            better = "Lower" if filled.table.lower_is_better else "Higher"
-            caption = f"Ours, the paper's below it. {better} is better. {filled.left_out}".strip()
-            render.show(filled.table.title, render.filled_only(cells), caption)
-        if len(shares):
-            render.show(render.SHARE, shares if self.show_all else render.filled_only(shares))
-
     def write_tables(self, directory: Path) -> None:
         """Write all tables as Markdown, LaTeX and CSV."""
-        texts = self._tables()
+        texts = self._texts()
         if len(self.difficulty):
             from cophy.report import difficulty
 
@@ -158,30 +159,40 @@ class Report:
         for name, text in texts.items():
             write_atomically(directory / name, text.encode())
 
-    def _tables(self) -> dict[str, str]:
-        """Return the content of the files of tables by name; tables with something of ours come first."""
-        filled = sorted(self.filled, key=lambda table: not table.has_runs)
-        parts = [
-            "\n".join(map(render.markdown, filled)),
-            render.markdown_sections(self.twins, TWINS_CAPTION),
-            render.markdown_sections(self.supplement.tables, self.supplement.caption),
-            f"\n## Everything that was run\n\n{summarize_runs(self.runs).to_markdown(index=False)}\n",
-        ]
+    def _texts(self) -> dict[str, str]:
+        """Return the content of the files of tables by name."""
+        papers = [render.paper_text_tables(filled, whole=bool(self.view.paper)) for filled in self.filled]
+        tables = [*self.tables, *map(sweep_table, self.sweeps), *chain.from_iterable(papers)]
+        supplement = render.markdown_sections(self.supplement.tables, self.supplement.caption)
         return {
-            "tables.md": "".join(parts),
-            "tables.tex": "\n".join(map(render.latex, filled)),
-            "runs.csv": self.runs.to_csv(index=False),
-            **{f"{table.table.id}.csv": table.values.to_csv(index=False) for table in filled},
+            "tables.md": "\n".join([*map(render.markdown, tables), supplement]),
+            "tables.tex": "\n".join([render.LATEX_HEAD, *map(render.latex, tables)]),
+            "document.tex": render.LATEX_DOCUMENT,
+            "runs.csv": self._as_csv(self.runs),
+            "methods.csv": self._as_csv(self.cells),
+            **{f"{filled.table.id}.csv": filled.values.to_csv(index=False) for filled in self.filled},
         }
+
+    @staticmethod
+    def _as_csv(lines: pd.DataFrame) -> str:
+        """Return lines as CSV, with changed keys as text: model.hidden_dim=8 training.learning_rate=0.001."""
+        if "changes" in lines:
+            texts = [" ".join(f"{key}={value}" for key, value in dict(changes).items()) for changes in lines["changes"]]
+            lines = lines.assign(changes=texts)
+        return lines.to_csv(index=False)
 
     def figures(self) -> Iterator[tuple[str, Figure]]:
         """Draw all figures; yield their names, too."""
         for filled in self.filled:
             if filled.values["seeds"].any():
                 yield f"table-{filled.table.id}", figures.draw_bars(filled)
-        if self.stored:
+        if self.stored and len(self.finished):
             runs = self.finished[self.finished["directory"].isin(list(self.stored))]
-            yield from figures.draw_predictions(runs, self.stored, self.scenarios, all_trajectories=self.show_all)
+            everything = bool(self.view.models)
+            yield from figures.draw_predictions(runs, self.stored, self.scenarios, all_trajectories=everything)
+        for sweep in self.sweeps:
+            if (figure := draw_sweep(sweep)) is not None:
+                yield f"sweep-{sweep.name}", figure
         yield from self._stability_distributions()
         if len(self.difficulty):
             from cophy.report import difficulty
@@ -191,7 +202,7 @@ class Report:
 
     def _mse_by_difficulty(self) -> pd.DataFrame:
         """Return the lines of `cophy.report.difficulty.mse_by_difficulty` on the default split of each scenario."""
-        if self.configurations.dataset is None or not self.stored:
+        if self.configurations.dataset is None or not self.stored or self.finished.empty:
             return pd.DataFrame()
         runs, frames = self.finished[self.finished["directory"].isin(list(self.stored))], []
         for (name, split, size), group in runs.groupby(["scenario", "split", "size"]):
@@ -228,13 +239,12 @@ def write_report(
     directory: Path,
     configurations: Configurations,
     supplement: Supplement | None = None,
-    *,
-    show_all: bool,
+    view: View | None = None,
 ) -> None:
     """Print the report of a folder of runs, see `Report`, and write its files to a directory."""
     if not outputs.is_dir():
         raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there, study.py answers")
-    report = Report(outputs, configurations, supplement, show_all=show_all)
+    report = Report(outputs, configurations, supplement or Supplement(), view or View())
     (directory / "figures").mkdir(parents=True, exist_ok=True)
     drawn = dict(report.figures())
     paths = [directory / "figures" / name for name in drawn]

@@ -1,6 +1,8 @@
 """Tables as text: one renderer for the terminal, one for Markdown and one for LaTeX."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from textwrap import wrap
 from typing import Any, NamedTuple
 
 import pandas as pd
@@ -13,16 +15,34 @@ from cophy.report.runs import MISSING
 from cophy.report.tables import FilledTable
 
 SHARE = "Share of the possible gain, (oracle without AB - ours) / (oracle without AB - oracle with AB)"
+UNCERTAINTY = (
+    "[ ]: 95 % bootstrap interval over clusters of test experiments; ±: standard deviation over training seeds"
+)
 LATEX = {
-    "→": r"$\rightarrow$",
-    "†": r"$\dagger$",
-    "±": r"$\pm$",
-    "×": r"$\times$",
-    "—": "--",
-    "%": r"\%",
-    "_": r"\_",
-    "<": "$<$",
+    **{character: rf"\{character}" for character in "%_&#${}"},
+    **{
+        "→": r"$\rightarrow$",
+        "†": r"$\dagger$",
+        "±": r"$\pm$",
+        "×": r"$\times$",
+        "÷": r"$\div$",
+        "—": "--",
+        "²": "$^2$",
+    },
+    **{"Σ": r"$\Sigma$", "Δ": r"$\Delta$", "λ": r"$\lambda$", "<": "$<$", ">": "$>$", "|": "$|$", "≤": r"$\leq$"},
+    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "*": "$^*$"},
 }
+LATEX_WIDTH, LATEX_ROWS = 72, 40  # characters of \small in a line of article, and rows on a page
+ROWS_WITH_INTERVALS = 20  # of a LaTeX table; with more, intervals are only in the CSV file
+LATEX_HEAD = "% Tables of report.py for a paper; in its preamble: \\usepackage{booktabs}\n"
+LATEX_DOCUMENT = r"""% Compiles by itself: pdflatex document.tex
+\documentclass{article}
+\usepackage{booktabs}
+\extrafloats{500}
+\begin{document}
+\input{tables}
+\end{document}
+"""
 WIDTH_FOR_INTERVALS = 100  # columns of the terminal
 MAX_LABEL, WHOLE_HEADING, GAP = 28, 12, 3  # characters
 
@@ -34,7 +54,7 @@ class Cell(NamedTuple):
         ours: Our number, or what is in its place.
         deviation: Its standard deviation over seeds, "± …".
         interval: Its interval, "[…, …]".
-        failed: How many runs failed.
+        note: How many runs failed, or of how many experiments it is.
         paper: The paper's number.
         best: Whether ours is printed in bold.
     """
@@ -42,18 +62,42 @@ class Cell(NamedTuple):
     ours: str
     deviation: str = ""
     interval: str = ""
-    failed: str = ""
+    note: str = ""
     paper: str = ""
     best: bool = False
 
     def text(self, bold: tuple[str, str] = ("", ""), *, interval: bool = True) -> str:
         """Return our part, the best between two strings."""
         ours = f"{bold[0]}{self.ours}{bold[1]}" if self.best else self.ours
-        return " ".join(part for part in (ours, self.deviation, self.interval if interval else "", self.failed) if part)
+        return " ".join(part for part in (ours, self.deviation, self.interval if interval else "", self.note) if part)
 
     def line(self, bold: tuple[str, str] = ("", "")) -> str:
         """Return the whole cell in one line."""
         return f"{self.text(bold)} / {self.paper}" if self.paper else self.text(bold)
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table that any medium can show.
+
+    Attributes:
+        id: Its name in files.
+        title: What it shows.
+        cells: Rows × columns of `Cell`.
+        caption: What the cells are.
+        note: The part of the caption that the terminal shows.
+    """
+
+    id: str
+    title: str
+    cells: pd.DataFrame
+    caption: str
+    note: str = ""
+
+
+def number(value: float, digits: int) -> str:
+    """Return a number with that many digits after the point, and no negative zero."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def table_cells(filled: FilledTable) -> pd.DataFrame:
@@ -75,17 +119,13 @@ def _wide(values: pd.DataFrame, cells: list[Cell]) -> pd.DataFrame:
 
 
 def _cell(value: dict[Any, Any], digits: int) -> Cell:
-    def number(x: float) -> str:
-        return f"{round(x, digits) + 0.0:.{digits}f}"  # no -0.000
-
-    paper = MISSING if pd.isna(value["paper"]) else number(value["paper"])
+    paper = MISSING if pd.isna(value["paper"]) else number(value["paper"], digits)
     if not value["seeds"]:
         return Cell("failed" if value["failed"] else MISSING, paper=paper)
-    varies = value["seeds"] > 1 and float(number(value["sd"])) > 0  # copy baselines have no random seed
-    interval = f"[{number(value['low'])}, {number(value['high'])}]"
-    deviation = f"± {number(value['sd'])}" if varies else ""
+    ours, sd, low, high = (number(value[name], digits) for name in ("ours", "sd", "low", "high"))
+    varies = value["seeds"] > 1 and float(sd) > 0  # copy baselines have no random seed
     failed = f"({value['failed']} failed)" if value["failed"] else ""
-    return Cell(number(value["ours"]), deviation, interval, failed, paper, value["best"])
+    return Cell(ours, f"± {sd}" if varies else "", f"[{low}, {high}]", failed, paper, value["best"])
 
 
 def _share_cell(value: dict[Any, Any]) -> Cell:
@@ -106,29 +146,79 @@ def caption(filled: FilledTable) -> str:
     return " ".join([*sentences, filled.left_out]).strip()
 
 
-def markdown(filled: FilledTable) -> str:
+def paper_text_tables(filled: FilledTable, *, whole: bool) -> list[TextTable]:
+    """Return a paper's table, and that of its shares of the possible gain where some are known.
+
+    Args:
+        filled: The table.
+        whole: Whether rows and columns without anything of ours are shown, too.
+    """
+    cells, shares = table_cells(filled), share_cells(filled)
+    table = TextTable(filled.table.id, filled.table.title, cells if whole else filled_only(cells), caption(filled))
+    if shares.empty:
+        return [table]
+    shares = shares if whole else filled_only(shares)
+    return [
+        table,
+        TextTable(f"{table.id}-share", f"{table.title.split(':')[0]}: share of the possible gain", shares, f"{SHARE}."),
+    ]
+
+
+def markdown(table: TextTable) -> str:
     """Return a section with the table, the best in bold."""
-    table = table_cells(filled).map(lambda cell: cell.line(bold=("**", "**"))).to_markdown()
-    shares = share_cells(filled)
-    gain = f"\n{SHARE}:\n\n{shares.map(Cell.line).to_markdown()}\n" if len(shares) else ""
-    return f"## {filled.table.title}\n\n{table}\n\n{caption(filled)}\n{gain}"
+    text = table.cells.map(lambda cell: cell.line(bold=("**", "**"))).to_markdown()
+    return f"## {table.title}\n\n{text}\n\n{table.caption}\n"
 
 
-def latex(filled: FilledTable) -> str:
-    """Return a table environment (needs booktabs), the best in bold; the caption explains the cells."""
-    cells = table_cells(filled).map(lambda cell: _latex_cell(cell).line(bold=(r"\textbf{", "}")))
-    cells = cells.rename(index=to_latex, columns=to_latex)
-    title = to_latex(f"{filled.table.title}. {caption(filled)}")
-    return str(cells.to_latex(caption=title, label=f"tab:{filled.table.id}", escape=False))
+def latex(table: TextTable) -> str:
+    """Return table environments (of booktabs) of one page each: numbers, below them intervals, below these the paper's."""
+    cells, with_intervals = table.cells, len(table.cells) <= ROWS_WITH_INTERVALS
+    lines = cells.map(lambda cell: _lines(cell._replace(interval=""), interval=False))
+    if len(cells.columns) > len(cells) and len(_blocks(lines.T, LATEX_WIDTH)) < len(_blocks(lines, LATEX_WIDTH)):
+        cells, lines = cells.T, lines.T
+    parts = []
+    for start in range(0, len(cells), LATEX_ROWS):
+        page, continued = cells.iloc[start : start + LATEX_ROWS], " (continued)" if start else ""
+        text = f"{table.title[:1].upper()}{table.title[1:]}{continued}. {table.caption if not start else ''}".strip()
+        intervals = "" if with_intervals or start else " Intervals are in the CSV file."
+        label = f"\\label{{tab:{table.id}{start or ''}}}\n"
+        blocks = "\n\\medskip\n\n".join(_tabular(page[block], with_intervals) for block in _blocks(lines, LATEX_WIDTH))
+        parts.append(
+            f"\\begin{{table}}[htbp]\n\\centering\n\\small\n\\caption{{{to_latex(text + intervals)}}}\n{label}{blocks}\\end{{table}}\n"
+        )
+    return "\n".join(parts)
 
 
-def _latex_cell(cell: Cell) -> Cell:
-    return cell._replace(
-        ours=to_latex(cell.ours),
-        deviation=to_latex(cell.deviation),
-        interval=to_latex(cell.interval),
-        paper=to_latex(cell.paper),
-    )
+def _tabular(cells: pd.DataFrame, with_intervals: bool) -> str:
+    """Return a tabular environment; labels and headings that are long have several lines."""
+    is_long = max(len(str(label)) for label in cells.index) > MAX_LABEL
+    labels = r"p{0.36\linewidth}" if is_long else "l"
+    headings = " & ".join([_heading(cells.index.name or ""), *map(_heading, map(str, cells.columns))])
+    lines = [rf"\begin{{tabular}}{{{labels}{'r' * len(cells.columns)}}}", r"\toprule", rf"{headings} \\", r"\midrule"]
+    for label, row in zip(cells.index, cells.itertuples(index=False), strict=True):
+        ours = [to_latex(cell._replace(best=False).text(interval=False)) for cell in row]
+        ours = [
+            text.replace(number := to_latex(cell.ours), rf"\textbf{{{number}}}", 1) if cell.best else text
+            for cell, text in zip(row, ours, strict=True)
+        ]
+        raggedright = r"\raggedright " if is_long else ""
+        lines.append(_row(f"{raggedright}{to_latex(str(label))}", ours))
+        if with_intervals and any(cell.interval for cell in row):
+            lines.append(_row("", (rf"{{\scriptsize {cell.interval}}}" if cell.interval else "" for cell in row)))
+        if any(cell.paper not in ("", MISSING) for cell in row):
+            lines.append(_row(r"\quad the paper's", (to_latex(cell.paper) for cell in row)))
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _row(label: str, texts: Iterable[str]) -> str:
+    return rf"{' & '.join([label, *texts])} \\"
+
+
+def _heading(text: str) -> str:
+    if len(text) <= WHOLE_HEADING:
+        return to_latex(text)
+    lines = wrap(text, WHOLE_HEADING, break_long_words=False)
+    return r"\shortstack[r]{" + r" \\ ".join(map(to_latex, lines)) + "}"
 
 
 def to_latex(text: str) -> str:
@@ -196,20 +286,20 @@ def _blocks(texts: pd.DataFrame, width: int) -> list[list[str]]:
 
 def _rich_table(texts: pd.DataFrame, cells: pd.DataFrame, width: int) -> Table:
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column("", width=min(_label_width(texts), width // 2))
+    table.add_column(texts.index.name or "", width=min(_label_width(texts), width // 2))
     for column in texts:
         table.add_column(str(column), justify="right", width=_width(str(column), texts[column]))
-    for label in texts.index:
+    for label, row, of_row in zip(texts.index, texts.to_numpy(), cells.to_numpy(), strict=True):
         marked = [
             f"[bold]{cell.ours}[/bold]{escape(text.removeprefix(cell.ours))}" if cell.best else escape(text)
-            for text, cell in zip(texts.loc[label], cells.loc[label], strict=True)
+            for text, cell in zip(row, of_row, strict=True)
         ]
         table.add_row(str(label), *marked)
     return table
 
 
 def _label_width(texts: pd.DataFrame) -> int:
-    labels = [str(label) for label in texts.index]
+    labels = [str(texts.index.name or ""), *map(str, texts.index)]
     return max(min(max(map(len, labels)), MAX_LABEL), *_word_lengths(labels))
 
 

@@ -1,10 +1,9 @@
-"""The runs below outputs/ as a table with one line per run, and which of them may be averaged."""
+"""The runs below outputs/ as a table with one line per run, and which of them a table may show or average."""
 
-import functools
 import logging
 import re
 import textwrap
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from rich.console import Console
 
 from cophy.atomic_files import read_json
 from cophy.errors import CophyError, check_name, printable
+from cophy.report.paper_tables import methods
 from cophy.training.run import FAILURE, LARGEST_NUMBER, METRICS
 
 log = logging.getLogger(__name__)
@@ -26,9 +26,11 @@ POSITIONS = {  # what a predictor sees, and how the report says it
 }
 CHECKPOINTS = ("derenderer", "predictor")  # hashes of checkpoints that the user named
 VARIANT = re.compile(r"(\+[\w.+-]+)?")
+KEY = re.compile(r"[\w./@-]+")
+DATA_KEYS = ("data_seed", "confounders", "source_scenario", "scenario.", "size.", "split.")  # how keys of data begin
 ERROR = re.compile(r"\w+:")  # the start of a failed run's error; so it is no formula of a spreadsheet either
 MAX_NAME, MAX_ERROR = 255, 2000  # characters
-# parts of a variant that leave a run in its table: captions name the size, the epochs and the de-renderer
+# parts of a variant that leave a run in a paper's table: captions name the size, the epochs and the de-renderer
 IN_CAPTIONS = ("size-", "max_epochs-", "derenderer-")
 MISSING = "—"
 
@@ -58,6 +60,7 @@ def read_line(path: Path) -> dict[str, Any]:
         line = _names(content, path.parent) | {"seed": _count(content, "seed"), "directory": path.parent}
         if f"seed{line['seed']}{line['variant']}" != path.parent.name:
             raise ValueError("seed and variant are not those of its folder")
+        line["changes"] = _changes(content, line["variant"])
         return line | (_failure(content) if path.name == FAILURE else _results(content))
     except ValueError as error:
         raise CophyError(f"{path.name} was not written by train.py: {error}") from error
@@ -79,6 +82,17 @@ def _names(content: dict[str, Any], directory: Path) -> dict[str, str]:
     return names
 
 
+def _changes(content: dict[str, Any], variant: str) -> dict[str, str]:
+    """Return what a run changes beyond its names; earlier versions wrote the last words of the keys, as its variant."""
+    parts = (part.partition("-") for part in variant.removeprefix("+").split("+") if part)
+    changes = content.get("changes", {key: value for key, _, value in parts})
+    if not isinstance(changes, dict) or not all(
+        isinstance(value, str) and len(value) <= MAX_ERROR and KEY.fullmatch(key) for key, value in changes.items()
+    ):
+        raise ValueError("changes are no keys with values")
+    return {key: printable(value) for key, value in changes.items() if key != "size"}
+
+
 def _failure(content: dict[str, Any]) -> dict[str, Any]:
     error = content.get("error")
     if not isinstance(error, str) or not ERROR.match(error):
@@ -88,6 +102,7 @@ def _failure(content: dict[str, Any]) -> dict[str, Any]:
 
 def _results(content: dict[str, Any]) -> dict[str, Any]:
     metrics, intervals, ids = (content.get(name) for name in ("metrics", "intervals", "dataset_ids"))
+    inputs = content.get("inputs", [])  # earlier versions did not write it
     if not (isinstance(metrics, dict) and isinstance(intervals, dict) and isinstance(ids, list) and "mse" in metrics):
         raise ValueError("it has no metrics.mse, no intervals or no dataset_ids")
     results: dict[str, Any] = {
@@ -97,7 +112,9 @@ def _results(content: dict[str, Any]) -> dict[str, Any]:
         "epochs": _count(content, "max_epochs", smallest=-1),  # -1 is no limit
         "metric_dims": _count(content, "metric_dims", smallest=1, largest=3),
         **{name: _number(content, name) for name in ("training_seconds", "wall_seconds")},
+        "validation_mse": _validation_mse(content),
         "dataset_ids": [_name({"dataset_ids": each}, "dataset_ids") for each in ids],
+        "inputs": [_name({"inputs": each}, "inputs") for each in inputs] if isinstance(inputs, list) else [],
         **{name: None if content.get(name) is None else _name(content, name) for name in CHECKPOINTS},
     }
     results["is_trained"] = results["training_seconds"] > 0 or results["predictor"] is not None  # here or earlier
@@ -111,6 +128,13 @@ def _results(content: dict[str, Any]) -> dict[str, Any]:
             case _:
                 raise ValueError(f"intervals.{name} is no interval")
     return results
+
+
+def _validation_mse(content: dict[str, Any]) -> float:
+    """Return the validation MSE of the tested weights; NaN where nothing was validated."""
+    validation = content.get("validation")
+    known = isinstance(validation, dict) and "val/mse" in validation
+    return _number(validation, "val/mse") if known else np.nan
 
 
 def _name(content: dict[str, Any], key: str) -> str:
@@ -136,61 +160,97 @@ def _count(content: dict[str, Any], name: str, *, smallest: int = 0, largest: fl
     return value
 
 
-def read_runs(outputs: Path, dataset_ids: DatasetIds) -> pd.DataFrame:
+def read_runs(outputs: Path) -> pd.DataFrame:
     """Return the runs in `outputs` that are where train.py puts them, so that no two share their names.
 
-    A run that changes more than its names say (an override on the command line), whose data are not those that its names
-    stand for today, or that was refused before it began, fills no table. The log names it, and each file that cannot be
-    read.
+    The log names each file that cannot be read. A run that was refused before it began is none.
 
     Args:
         outputs: Where train.py wrote its runs.
-        dataset_ids: Returns the ids that the datasets of a scenario and size have today; None where they are not checked.
-            Raises CophyError where the runs are not for these tables.
 
     Returns:
-        One line per run: names, directory, counts, epochs, metric_dims, every test metric and its interval (see `read_line`).
-        A failed run has its `error` instead of results; `error` is None for the others. `attrs`: how many runs are `unused`,
-        because they fill no table or cannot be read.
+        One line per run: names, directory, counts, epochs, metric_dims, validation_mse, inputs (optional ones that the model
+        sees), every test metric and its interval (see `read_line`). `data` is what the run changes in its data, as text, and
+        `changes` what else it changes (key, value). A failed run has its `error` instead of results; `error` is None for the
+        others. `attrs`: how many runs are `unused`, because they cannot be read.
     """
     paths = sorted(path for name in (METRICS, FAILURE) for path in outputs.glob(f"*/*/*/*/*/seed*/{name}"))
-    dataset_ids = functools.cache(dataset_ids)
-    lines, excluded, unused = [], dict[str, list[str]](), 0
+    lines, unused = [], 0
     for path in paths:
         try:
             line = read_line(path)
-            reason = _reason_to_exclude(line, dataset_ids)
         except (CophyError, OSError) as error:
             unused += 1
             log.warning("%s", " ".join(f"{path.parent} is skipped: {error}".split()))
             continue
-        if reason:
-            excluded.setdefault(reason, []).append(" ".join(line[name] for name in PLACE[:3]))
-        else:
+        if line.pop("has_begun", True):
             lines.append(line)
-    for reason, names in excluded.items():
-        runs = "1 run is" if len(names) == 1 else f"{len(names)} runs are"
-        log.warning(
-            notice(f"{runs} not in the tables, which show the settings of conf/ ({reason}): {'; '.join(names)}.")
-        )
+    whole = {key.rpartition(".")[2]: key for line in lines for key in line["changes"] if "." in key}
+    for line in lines:
+        changes = {whole.get(key, key): value for key, value in line["changes"].items()}
+        line["data"] = ", ".join(f"{key}={changes[key]}" for key in changes if key.startswith(DATA_KEYS))
+        line["changes"] = tuple((key, value) for key, value in changes.items() if not key.startswith(DATA_KEYS))
     if elsewhere := len(set(outputs.rglob(METRICS)).difference(paths)):
         text = f"{elsewhere} runs below {outputs} are not where train.py puts them and are not read (hydra.run.dir=)."
         log.info(notice(text))
     table = pd.DataFrame(lines)
-    table.attrs["unused"] = unused + sum(map(len, excluded.values()))
+    table.attrs["unused"] = unused
     return table
 
 
-def _reason_to_exclude(line: dict[str, Any], dataset_ids: DatasetIds) -> str:
-    """Return what a run changes beyond its names, or that it was refused; "" where it may fill a table."""
-    if line["error"] is not None:
-        return "" if line.pop("has_begun") else "refused before the start"
+def filter_runs(runs: pd.DataFrame, models: Sequence[str], splits: Sequence[str]) -> pd.DataFrame:
+    """Return the runs of these models and splits; an empty list is no condition.
+
+    Args:
+        runs: See `read_runs`.
+        models: Names of models or rows: cophynet has all its ablations, cophynet_mlp is one.
+        splits: Names of splits.
+
+    Raises:
+        CophyError: No run has one of these names.
+    """
+    rows = {(method.model, method.ablation): method.name for method in methods().values()}
+    of_rows = [
+        {model, f"{model}_{ablation}", rows.get((model, ablation), model)}
+        for model, ablation in zip(runs["model"], runs["ablation"], strict=True)
+    ]
+    is_chosen = np.ones(len(runs), dtype=bool)
+    for key, names, of_runs in (("models", models, of_rows), ("splits", splits, [{name} for name in runs["split"]])):
+        known = set().union(*of_runs) - {f"{model}_full" for model in runs["model"]}
+        if missing := sorted(set(names) - known):
+            raise CophyError(f"{key}=: no run is of {', '.join(missing)}; there are: {', '.join(sorted(known))}")
+        if names:
+            is_chosen &= [not of_run.isdisjoint(names) for of_run in of_runs]
+    chosen = runs[is_chosen]
+    if chosen.empty:
+        raise CophyError(f"no run is of models={[*models]} and of splits={[*splits]}")
+    return chosen
+
+
+def standard_runs(runs: pd.DataFrame, dataset_ids: DatasetIds) -> pd.DataFrame:
+    """Return the runs that a paper's table may show: on today's data, with no change but what captions name.
+
+    Args:
+        runs: See `read_runs`.
+        dataset_ids: Returns the ids that the datasets of a scenario and size have today; None where they are not checked.
+            Raises CophyError where the runs are not for these tables.
+    """
+    is_standard = pd.Series(False, index=runs.index)
+    for (scenario, size), group in runs.groupby(["scenario", "size"]):
+        try:
+            known = dataset_ids(str(scenario), str(size))
+        except CophyError:
+            continue
+        is_standard[group.index] = [_is_standard(line, known) for line in group.to_dict("records")]
+    return runs[is_standard]
+
+
+def _is_standard(line: dict[Any, Any], known: Collection[str] | None) -> bool:
     parts = line["variant"].removeprefix("+").split("+")
-    changes = [part for part in parts if part and not part.startswith(IN_CAPTIONS)]
-    known = dataset_ids(line["scenario"], line["size"])
-    if known is not None and not line["model"].startswith("derenderer"):
-        changes += [f"dataset {name}" for name in line["dataset_ids"] if name not in known]
-    return ", ".join(changes)
+    is_checked = known is not None and line["error"] is None and not line["model"].startswith("derenderer")
+    return all(not part or part.startswith(IN_CAPTIONS) for part in parts) and (
+        not is_checked or set(line["dataset_ids"]) <= set(known or ())
+    )
 
 
 def select(runs: pd.DataFrame, **names: str) -> pd.DataFrame:

@@ -23,6 +23,10 @@ TESTED_ON = {  # positions= -> sentence of the caption
     "train_ground_truth_test_derendered": "Tested on positions estimated from images.",
 }
 
+PAPER_SIZES = {
+    "paper",
+    "cophy",
+}  # sizes with the paper's number of experiments: only their best is in bold next to its numbers
 ORACLES_NOTE = (
     "Oracles simulate (docs/benchmark/metrics.md). They know what A and C show at t = 0 beyond positions: object type and pose. "
     "A network sees these only with model.object_type=true and model.pose=true. "
@@ -39,10 +43,16 @@ def _caption(table: PaperTable, used: pd.DataFrame) -> str:
     num_train, num_test, seeds = (_listed(used[name]) for name in ("num_train", "num_test", "seed"))
     trained = used[used["is_trained"].astype(bool)]  # copies and oracles have a number of epochs, too
     epochs = "" if trained.empty else f" {_listed(trained['epochs'])} epochs;"
-    size = ", ".join(sorted(used["size"].unique()))
+    sizes = sorted(used["size"].unique())
     notes.append(" ".join(TESTED_ON[positions] for positions in sorted(used["positions"].unique())))
-    notes.append(f"Size {size}: {num_train} training and {num_test} test experiments;{epochs} seeds {seeds}.")
+    notes.append(
+        f"Size {', '.join(sizes)}: {num_train} training and {num_test} test experiments;{epochs} seeds {seeds}."
+    )
     notes.append("[ ]: 95 % bootstrap interval over clusters of the test split; ±: standard deviation over seeds.")
+    if set(sizes) <= PAPER_SIZES:
+        notes.append("Bold: the best of ours that sees positions of AB and C alone.")
+    else:
+        notes.append("The paper's numbers are from more experiments, so nothing is in bold next to them.")
     if "gt_confounders" in used["ablation"].to_numpy():
         notes.append(
             "Where the true confounders are given, they include what positions hide: initial velocity, shape and orientation."
@@ -169,7 +179,8 @@ def fill(
         values.append({"row": row, "column": column, "metric": metric, **numbers, "paper": paper})
     frame = pd.DataFrame(values, columns=CELL_COLUMNS).astype({"paper": float})
     share, low, high = zip(*_shares(table, frame, used, scores), strict=True)
-    frame = frame.assign(best=_best(table, frame), share=share, share_low=low, share_high=high)
+    has_paper_size = set(pd.concat(used).get("size", [])) <= PAPER_SIZES
+    frame = frame.assign(best=_best(table, frame) & has_paper_size, share=share, share_low=low, share_high=high)
     controls = None
     if table.controls:
         nothing: list[list[float | None]] = [[None] * len(table.columns) for _ in table.controls]

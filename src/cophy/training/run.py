@@ -9,7 +9,8 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,6 +81,7 @@ class Run:
     Attributes:
         variant: Changes beyond the names, for example "+hidden_dim-8"; "" if there are none.
         directory: Where its files go.
+        changes: The same changes with whole keys, for example "model.hidden_dim" -> "8".
         has_begun: Whether it has started to train or test.
     """
 
@@ -92,6 +94,7 @@ class Run:
     size: str
     variant: str
     directory: Path
+    changes: dict[str, str] = field(default_factory=dict, compare=False)
     has_begun: bool = field(default=False, init=False, compare=False)
 
     def names(self) -> dict[str, Any]:
@@ -173,7 +176,7 @@ class Run:
         metrics = {name: mean(value) for name, value in results.values.items()}
         intervals = {name: interval(value, results.clusters) for name, value in results.values.items()}
         content = {"metrics": metrics, "intervals": intervals, "copies": dict(results.copies)}
-        _write_json(self.directory / METRICS, {**self.names(), **facts, **content})
+        _write_json(self.directory / METRICS, {**self.names(), "changes": self.changes, **facts, **content})
         text = "  ".join(f"{name} {metrics[name]:.4f}" for name in LOGGED if name in metrics)
         log.info("%s: %s", self.directory / METRICS, text)
         return metrics
@@ -181,8 +184,8 @@ class Run:
     def write_failure(self, error: BaseException) -> None:
         """Write failure.json, so that the report can name the run and the error."""
         message = " ".join(f"{type(error).__name__}: {error}".split())
-        content = {"has_begun": self.has_begun, "error": message, "sweep": os.environ.get(SWEEP)}
-        _write_json(self.directory / FAILURE, {**self.names(), **content})
+        content = {"changes": self.changes, "has_begun": self.has_begun, "error": message}
+        _write_json(self.directory / FAILURE, {**self.names(), **content, "sweep": os.environ.get(SWEEP)})
 
     def _check_earlier_results(self, tests: str | None) -> None:
         path = self.directory / METRICS
@@ -228,6 +231,13 @@ def differences(key: str, value: Any, expected: Any) -> Iterator[tuple[str, Any]
             yield from differences(f"{key}.{name}", value.get(name), expected.get(name))
     elif value != expected and key not in NO_RESULT:
         yield key, value
+
+
+def short_keys(keys: Iterable[str]) -> dict[str, str]:
+    """Return each key with its last word, or with itself where another key ends in the same word."""
+    last_words = {key: key.rpartition(".")[2] for key in keys}
+    count = Counter(last_words.values())
+    return {key: word if count[word] == 1 else key for key, word in last_words.items()}
 
 
 def plain_value(config: DictConfig | ListConfig, key: str) -> Any:

@@ -1,0 +1,232 @@
+"""Tables of all runs: methods with what they change in rows, tested splits in columns, a table for each kind of data.
+
+A cell shows the runs that differ in their seed alone. Runs on different data never share a cell.
+"""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from cophy.report.paper_tables import SIMULATED, method_title, methods
+from cophy.report.render import UNCERTAINTY, Cell, TextTable, number
+from cophy.report.runs import MISSING, POSITIONS, comparable_seeds
+
+TABLE = ["scenario", "size", "positions", "data"]  # shared by the runs of a table
+METHOD = ["model", "ablation", "variant"]  # shared by the runs of a row
+MAX_SETTINGS = (
+    3  # of a method; of more, tables show the unchanged one and the best by validation, and a sweep has its own
+)
+MEASURES = {  # metric -> title, digits, factor to the title's unit, whether lower is better, explanation
+    "mse": ("test MSE (m²)", 3, 1.0, True, ""),
+    "twin_difference_explained": (
+        "explained part of the twins' difference (%)",
+        1,
+        100.0,
+        False,
+        "Twins share A, C and the do-operation and differ in their confounders, which only AB shows. Explained: "
+        "1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|², with ΔP and ΔD the predicted and the true difference between twins; 0 for any model "
+        "without AB, 100 for a perfect one.",
+    ),
+    "right_twin_chosen": (
+        "right twin chosen (%)",
+        1,
+        100.0,
+        False,
+        "How often a prediction is nearer to its own D than to its twin's; 50 by chance.",
+    ),
+}
+MORE_INPUTS = ("model.confounders", "model.object_type", "model.pose", "training.confounder_weight")
+
+
+def method_cells(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return one line for each method and tested split of a table.
+
+    Args:
+        runs: See `read_runs`; not empty.
+
+    Returns:
+        The names of the table and the method; `method`, its printed name; `column`, the heading of the split; changes; seeds
+        and failed, numbers of runs; num_train, num_test, epochs (NaN without training), training_seconds; every metric and
+        validation_mse, means over seeds with their <metric>_sd, <metric>_low and <metric>_high; competes, whether it sees what
+        the paper's model sees; is_selected, whether it is the best by validation of its method's settings.
+    """
+    lines = []
+    for _, of_table in runs.groupby(TABLE):
+        shared = shared_changes(of_table)
+        for (column, *_), of_cell in of_table.groupby([np.array(_columns(of_table)), *METHOD]):
+            lines.append(_line(of_cell, shared) | {"column": str(column)})
+    cells = pd.DataFrame(lines)
+    settings = cells.groupby([*TABLE, "column", "model", "ablation"])
+    selected = {_selected(of_method) for _, of_method in settings}
+    return cells.assign(is_selected=cells.index.isin(selected))
+
+
+def shared_changes(runs: pd.DataFrame) -> dict[str, str]:
+    """Return what all trained runs of several methods change alike, which captions say once."""
+    trained = runs[runs["error"].isna() & runs["is_trained"].eq(True)] if "is_trained" in runs else runs.iloc[:0]
+    if trained[["model", "ablation"]].drop_duplicates().shape[0] < 2:
+        return {}
+    return dict(sorted(set.intersection(*map(set, trained["changes"]))))
+
+
+def _columns(runs: pd.DataFrame) -> list[str]:
+    """Return the split of each run, with its datasets where runs of one split have several."""
+    ids = [
+        " ".join(sorted(names)) if isinstance(names, list) else ""
+        for names in runs.get("dataset_ids", [""] * len(runs))
+    ]
+    used = pd.DataFrame({"split": runs["split"].to_numpy(), "ids": ids})
+    several = used[used["ids"] != ""].groupby("split")["ids"].nunique()
+    return [
+        f"{split_title(split)} (data {names})" if names and several[split] > 1 else split_title(split)
+        for split, names in used.itertuples(index=False)
+    ]
+
+
+def split_title(split: str) -> str:
+    """Return the printed name of a split: 3→3 unseen for 3to3_unseen."""
+    return re.sub(r"(?<=\d)to(?=\d)|_to_", "→", split).replace("_", " ")
+
+
+def _line(runs: pd.DataFrame, shared: dict[str, str]) -> dict[str, Any]:
+    first, finished = runs.iloc[0], runs[runs["error"].isna()]
+    changes = dict(first["changes"])
+    own = {key: value for key, value in changes.items() if shared.get(key) != value}
+    names = {name: first[name] for name in (*TABLE, *METHOD, "split", "directory")}
+    line = names | {"changes": changes, "method": method_title(first["model"], first["ablation"], own)}
+    line |= {"seeds": 0, "failed": len(runs) - len(finished), "competes": False}
+    if finished.empty:
+        return line
+    seeds = comparable_seeds(finished)
+    line |= {"seeds": len(seeds), "num_train": seeds["num_train"].max(), "num_test": seeds["num_test"].min()}
+    line |= {name: seeds[name].mean() for name in ("training_seconds",)}
+    line["epochs"] = seeds["epochs"].max() if seeds["is_trained"].any() else np.nan
+    line["competes"] = _competes(first["model"], first["ablation"], changes, seeds.get("inputs", pd.Series()).iloc[:1])
+    for name in seeds.columns[seeds.notna().any()]:
+        if name == "validation_mse" or name.startswith("metrics."):
+            metric = name.removeprefix("metrics.")
+            line |= {metric: seeds[name].mean(), f"{metric}_sd": seeds[name].std()}
+            line |= {f"{metric}_{end}": seeds[f"{end}.{metric}"].mean() for end in ("low", "high") if name != metric}
+    return line
+
+
+def _competes(model: str, ablation: str, changes: dict[str, str], inputs: "pd.Series[Any]") -> bool:
+    """Return whether a method sees positions of AB and C alone and simulates nothing, so that it can be the best."""
+    given_more = {(method.model, method.ablation) for method in methods().values() if not method.competes}
+    ablations = {name for _, name in given_more} - {"full"}
+    is_given_more = (model, ablation) in given_more or ablation in ablations or not {*MORE_INPUTS}.isdisjoint(changes)
+    return not (is_given_more or model.startswith(SIMULATED) or any(map(len, inputs)))
+
+
+def _selected(settings: pd.DataFrame) -> Any:
+    """Return the index of the setting of a method with the lowest validation MSE; without any, of the unchanged one."""
+    if settings.get("validation_mse", pd.Series()).notna().any():
+        return settings["validation_mse"].idxmin()
+    return settings["variant"].map(len).idxmin()
+
+
+def table_name(cell: Any) -> str:
+    """Return the title of the table that a line of `method_cells` is in, for example "collision, size small, true positions"."""
+    data = f", {cell['data']}" if cell["data"] else ""
+    return f"{cell['scenario']}, size {cell['size']}, {POSITIONS[cell['positions']]}{data}"
+
+
+def method_tables(cells: pd.DataFrame) -> Iterator[TextTable]:
+    """Yield a table of each measure for each kind of data.
+
+    Args:
+        cells: See `method_cells`.
+    """
+    for keys, of_table in cells.groupby(TABLE):
+        for metric in MEASURES:
+            if metric in of_table and (metric == "mse" or of_table[metric].notna().any()):
+                known = of_table if metric == "mse" else of_table[of_table[metric].notna()]
+                yield _table(known, metric, "-".join(filter(None, map(str, keys))))
+
+
+def _table(cells: pd.DataFrame, metric: str, name: str) -> TextTable:
+    title, digits, scale, lower_is_better, note = MEASURES[metric]
+    count = cells.groupby(["model", "ablation"])["variant"].transform("nunique")
+    kept = cells[(count <= MAX_SETTINGS) | cells["is_selected"] | (cells["variant"].map(len) == 0)]
+    best = _best(kept, metric, lower_is_better=lower_is_better)
+    rows, columns = sorted(set(map(_order, kept.to_dict("records")))), sorted(kept["column"].unique(), key=natural)
+    cells_at = {
+        (_order(line), line["column"]): measured_cell(
+            line, metric, digits, scale, first=line.get("num_test") != kept["num_test"].max()
+        )._replace(best=index in best)
+        for index, line in kept.to_dict("index").items()
+    }
+    table = pd.DataFrame(
+        {column: [cells_at.get((row, column), Cell(MISSING)) for row in rows] for column in columns},
+        index=[row[-1] for row in rows],
+        dtype=object,
+    )
+    sentences = [_description(kept)]
+    if best:
+        direction = "lowest" if lower_is_better else "highest"
+        sentences.append(f"Bold: {direction} of the methods that see positions of AB and C alone.")
+    if len(kept) < len(cells):
+        sentences.append("Of the settings of a sweep, the best by validation.")
+    head = table_name(cells.iloc[0])
+    short = note or " ".join(sentences)
+    caption = " ".join(filter(None, [*sentences, f"{UNCERTAINTY}.", note]))
+    return TextTable(re.sub(r"[^\w-]+", "_", f"{name}-{metric}"), f"{head}: {title}", table, caption, short)
+
+
+def _description(cells: pd.DataFrame) -> str:
+    """Return the sentence on numbers of experiments, epochs and seeds."""
+    done = cells[cells["seeds"] > 0]
+    if done.empty:
+        return "All runs failed."
+    counts = [listed(done[name]) for name in ("num_train", "num_test", "seeds")]
+    epochs = f" {listed(done['epochs'])} epochs;" if done["epochs"].notna().any() else ""
+    return f"{counts[0]} training and {counts[1]} test experiments;{epochs} training seeds: {counts[2]}."
+
+
+def listed(counts: "pd.Series[float]") -> str:
+    """Return numbers as text: the only one, or the least and the greatest."""
+    low, high = int(counts.min()), int(counts.max())
+    return f"{low:,}" if low == high else f"{low:,} to {high:,}"
+
+
+def measured_cell(
+    line: dict[Any, Any], metric: str, digits: int = 3, scale: float = 1.0, *, first: bool = False
+) -> Cell:
+    """Return the cell of a line of `method_cells`; if `first`, it says that only the first test experiments count."""
+    failed = f"({line['failed']} failed)" if line["failed"] else ""
+    if not line["seeds"] or pd.isna(line.get(metric)):
+        return Cell("failed" if line["failed"] else MISSING)
+    note = failed or (f"(first {line['num_test']:.0f})" if first else "")
+    value, sd, low, high = (
+        number(scale * line.get(f"{metric}{end}", np.nan), digits) for end in ("", "_sd", "_low", "_high")
+    )
+    varies = line["seeds"] > 1 and float(sd) > 0  # copy baselines have no random seed
+    return Cell(value, f"± {sd}" if varies else "", "" if low == "nan" else f"[{low}, {high}]", note)
+
+
+def _best(cells: pd.DataFrame, metric: str, *, lower_is_better: bool) -> set[Any]:
+    """Return the index of the best of each column, of several comparable methods: the same data, and all test experiments."""
+    best = set()
+    for _, column in cells[cells["seeds"] > 0].groupby("column"):
+        largest = [column[name] == column[name].max() for name in ("num_train", "num_test")]
+        values = column.loc[column["competes"] & column["is_selected"] & largest[0] & largest[1], metric].dropna()
+        if len(values) > 1:
+            best.add(values.idxmin() if lower_is_better else values.idxmax())
+    return best
+
+
+def _order(line: dict[Any, Any]) -> tuple[Any, ...]:
+    """Return the place of a method in tables: those of the paper's tables first, oracles last; then its printed name."""
+    known = [(method.model, method.ablation) for method in methods().values()]
+    key = (line["model"], line["ablation"])
+    group = 2 if line["model"].startswith(SIMULATED) else 0 if key in known else 1
+    return group, known.index(key) if key in known else 0, *key, natural(line["variant"]), line["method"]
+
+
+def natural(text: str) -> tuple[tuple[int, float, str], ...]:
+    """Return a key that sorts the numbers in a text by their value."""
+    parts = re.split(r"((?<![\d.])\d+(?:\.\d+)?(?:e-?\d+)?)", text)
+    return tuple((0, float(part), "") if at % 2 else (1, 0.0, part) for at, part in enumerate(parts))

@@ -1,0 +1,169 @@
+"""Sweeps: runs of one method that differ in changed keys, as a table and a figure of MSE over key."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cophy.report.methods import METHOD, TABLE, listed, measured_cell, method_title, natural, table_name
+from cophy.report.render import UNCERTAINTY, TextTable
+from cophy.training.run import short_keys
+
+CONFIG = Path(".hydra") / "config.yaml"  # in the directory of a run
+MEASURES = {"validation_mse": "validation", "mse": "test"}
+STYLES = {"validation_mse": ("#d55e00", "--"), "mse": ("#0072b2", "-")}  # of Okabe and Ito, for the colour-blind
+DECADE = 10  # a key whose values span it has a logarithmic axis
+PANEL_IN = (3.6, 3.0)  # width and height, inches
+UNCHANGED = "default"  # in place of a value that the configuration does not tell
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The settings of one method on one split.
+
+    Attributes:
+        title: Method, data and split.
+        name: The same, in names of files.
+        settings: Lines of `method_cells` with a column for each key of `keys`, which has its values as text.
+        keys: Swept keys, in whole.
+    """
+
+    title: str
+    name: str
+    settings: pd.DataFrame
+    keys: tuple[str, ...]
+
+    @property
+    def best(self) -> Any:
+        """The index of the setting with the lowest validation MSE; None where fewer than two were validated."""
+        validated = self.settings.get("validation_mse", pd.Series()).dropna()
+        return validated.idxmin() if len(validated) > 1 else None
+
+
+def find_sweeps(cells: pd.DataFrame) -> Iterator[Sweep]:
+    """Yield the sweeps among all runs: methods with several settings on a split.
+
+    Args:
+        cells: See `method_cells`.
+    """
+    for _, settings in cells.groupby([*TABLE, "column", *METHOD[:2]]):
+        if len(settings) < 2 or not settings["seeds"].any():
+            continue
+        changes = settings["changes"]
+        every = dict.fromkeys(key for changed in changes for key in changed)
+        keys = tuple(key for key in every if len({changed.get(key) for changed in changes}) > 1)
+        first = settings.iloc[0]
+        values = {
+            key: [_value(changed, key, path) for changed, path in zip(changes, settings["directory"], strict=True)]
+            for key in keys
+        }
+        shared = {key: value for key, value in first["changes"].items() if key not in keys}
+        title = f"Sweep of {method_title(first['model'], first['ablation'], shared)}, {table_name(first)}, {first['column']}"
+        parts = filter(None, (first[name] for name in (*TABLE, "column", "model", "ablation")))
+        swept = settings.assign(**values)
+        order = sorted(swept.index, key=lambda index: [natural(swept.loc[index, key]) for key in keys])
+        yield Sweep(title, re.sub(r"[^\w.-]+", "_", "-".join(parts)), swept.loc[order], keys)
+
+
+def _value(changed: dict[str, str], key: str, directory: Path) -> str:
+    """Return the value of a key as text; where a run does not change it, the one in its configuration."""
+    if key in changed:
+        return changed[key]
+    try:
+        config = yaml.safe_load((directory / CONFIG).read_text("utf-8"))
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):  # moved or damaged
+        return UNCHANGED
+    values = {text for name, text in _leaves(config, "") if f".{name}".endswith(f".{key}") and "${" not in text}
+    return values.pop() if len(values) == 1 else UNCHANGED
+
+
+def _leaves(config: Any, name: str) -> Iterator[tuple[str, str]]:
+    """Yield whole key and value, as text, of every value of a configuration."""
+    if isinstance(config, dict):
+        for key, value in config.items():
+            yield from _leaves(value, f"{name}.{key}" if name else str(key))
+    else:
+        yield name, str(config)
+
+
+def sweep_table(sweep: Sweep) -> TextTable:
+    """Return a table with validation and test MSE of every setting, the best by validation marked."""
+    lines = sweep.settings.to_dict("index")
+    labels = [", ".join(line[key] for key in sweep.keys) for line in lines.values()]
+    index = pd.Index(labels, name=", ".join(short_keys(sweep.keys).values()))
+    columns = {}
+    for metric, title in MEASURES.items():
+        cells = {at: measured_cell(line, metric) for at, line in lines.items()}
+        if sweep.best is not None:
+            marked = cells[sweep.best]
+            cells[sweep.best] = marked._replace(ours=f"{marked.ours}*", best=True)
+        columns[f"{title} MSE (m²)"] = pd.Series([*cells.values()], index, dtype=object)
+    done = sweep.settings[sweep.settings["seeds"] > 0]
+    counts = [listed(done[name]) for name in ("num_train", "num_test", "seeds")]
+    mark = "*: lowest validation MSE. " if sweep.best is not None else ""
+    note = f"{mark}{counts[0]} training and {counts[1]} test experiments; training seeds: {counts[2]}."
+    return TextTable(f"sweep-{sweep.name}", sweep.title, pd.DataFrame(columns), f"{note} {UNCERTAINTY}.", note)
+
+
+def draw_sweep(sweep: Sweep) -> Figure | None:
+    """Draw MSE over each numeric key: all settings as points, a line where the other keys are as in the best setting.
+
+    Returns:
+        None where no key is numeric.
+    """
+    done = sweep.settings[sweep.settings["seeds"] > 0]
+    numeric = {key: values for key in sweep.keys if (values := pd.to_numeric(done[key], errors="coerce")).nunique() > 1}
+    if not numeric:
+        return None
+    width, height = PANEL_IN
+    figure = Figure(figsize=(width * len(numeric) + 0.4, height), layout="constrained")
+    panels: Sequence[Axes] = figure.subplots(1, len(numeric), sharey=True, squeeze=False)[0]
+    best = done.loc[sweep.best if sweep.best is not None else done["mse"].index[0]]
+    for axis, (key, values) in zip(panels, numeric.items(), strict=True):
+        others = [other for other in sweep.keys if other != key]
+        is_slice = (done[others] == best[others]).all(axis=1) if others else pd.Series(True, index=done.index)
+        for metric in MEASURES:
+            if metric in done:
+                _draw_measure(axis, metric, done, values, is_slice & values.notna())
+        known = values.dropna()
+        if known.min() > 0 and known.max() >= DECADE * known.min():
+            axis.set_xscale("log")
+        axis.set_xlabel(short_keys(sweep.keys)[key])
+        axis.grid(alpha=0.2)
+    panels[0].set_ylabel("MSE (m²)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize="small")
+    figure.suptitle(sweep.title, fontsize="small", wrap=True)
+    return figure
+
+
+def _draw_measure(
+    axis: Axes, metric: str, done: pd.DataFrame, values: "pd.Series[float]", is_slice: "pd.Series[bool]"
+) -> None:
+    color, style = STYLES[metric]
+    axis.plot(values, done[metric], "o", color=color, ms=3, alpha=0.4)
+    line = done[is_slice].assign(at=values[is_slice]).sort_values("at")
+    if len(line) < 2:
+        return
+    low, high = line[metric] - line[f"{metric}_sd"], line[metric] + line[f"{metric}_sd"]
+    band = "± sd over seeds"
+    if low.isna().all() and f"{metric}_low" in line:
+        low, high, band = line[f"{metric}_low"], line[f"{metric}_high"], "95 % interval"
+    has_band = low.notna().any()
+    axis.plot(
+        line["at"],
+        line[metric],
+        style,
+        marker="o",
+        ms=4,
+        color=color,
+        label=f"{MEASURES[metric]}{f', {band}' if has_band else ''}",
+    )
+    if has_band:
+        axis.fill_between(line["at"], low, high, color=color, alpha=0.15, lw=0)
