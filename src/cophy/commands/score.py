@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from cophy import cli
 from cophy.atomic_files import sha256
-from cophy.config import generated_by, to_config
+from cophy.config import generated_by, to_config, value_text, variant
 from cophy.errors import CophyError, check_name
 from cophy.schemas import ScoreConfig
 from cophy.scoring import Predictions, Scores, score
@@ -81,8 +81,9 @@ def make_run(config: ScoreConfig, path: Path, changes: tuple[str, ...]) -> Run:
         check_name("name", name)
     except ValueError as error:
         raise CophyError(str(error)) from error
-    changed = {"size": config.size.name, "data_seed": config.data_seed}
-    defaults = {"size": "small", "data_seed": 0}
+    names = {"size": config.size.name, "data_seed": config.data_seed}
+    defaults = {"size": "small", "data_seed": 0}  # of train.py
+    changed = {key: value for key, value in names.items() if value != defaults[key]}
     run = Run(
         scenario=choices["scenario"],
         split=choices["split"],
@@ -91,8 +92,9 @@ def make_run(config: ScoreConfig, path: Path, changes: tuple[str, ...]) -> Run:
         positions=config.positions,
         seed=config.seed,
         size=choices["size"],
-        variant="".join(f"+{key}-{value}" for key, value in changed.items() if value != defaults[key]),
+        variant=variant(changed),
         directory=Path(),
+        changes={key: value_text(value) for key, value in changed.items()},
     )
     run.directory = Path(config.outputs) / run.place
     return run
