@@ -15,6 +15,7 @@ from cophy import cli
 from cophy.atomic_files import sha256
 from cophy.config import changes, experiments_of, to_config, to_plain, value_text, variant
 from cophy.dataset.source import GENERATED
+from cophy.dataset.splits import Split
 from cophy.errors import CophyError
 from cophy.schemas import ESTIMATED, TrainConfig, register
 from cophy.training.run import TESTED_CHECKPOINT, Run, is_rank_zero
@@ -36,7 +37,11 @@ if not {"--help", "-h"} & set(sys.argv):  # the schemas of models import torch, 
 
 @cli.command("train")
 def main(cfg: DictConfig) -> float:
-    run, plain, hydra_config = make_run(cfg), to_plain(cfg), HydraConfig.get()
+    hydra_config = HydraConfig.get()
+    if hydra_config.mode is RunMode.RUN:  # at once; in a sweep the run also leaves failure.json, which takes seconds
+        scenario: Any = to_config(cfg.scenario, object)
+        to_config(cfg.split, Split).check_scenario(scenario)
+    run, plain = make_run(cfg), to_plain(cfg)
     in_parallel = hydra_config.runtime.choices["hydra/launcher"] != "basic"
     if in_parallel:  # progress bars would overwrite each other
         plain["trainer"] |= {"enable_progress_bar": False, "enable_model_summary": False}
