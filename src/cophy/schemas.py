@@ -274,11 +274,11 @@ class TrainConfig(RenderDataConfig):
         _check_range("num_images", self.num_images, 10)
         for group in ("logger", "metrics"):
             for name, keys in getattr(self, group).items():
-                check_name(group, name)
                 if not isinstance(keys, dict):
                     raise ValueError(
                         f"{group}.{name} is no block with a _target_: its YAML starts with the line '# @package {group}.<name>'"
                     )
+                check_name(group, name)
         if self.ckpt is not None and self.predictor is not None:
             raise ValueError("ckpt= resumes a training, predictor= replaces one: give one of them")
         if self.ckpt is None:
