@@ -167,7 +167,7 @@ def copy_shards(missing: Sequence[int], shards: ShardSet, files: Files) -> dict[
             _copy(source, content, MAX_MANIFEST)
         manifest = json.loads(content.getvalue())
         checksums = {shard: manifest["shards"][shards.path(shard).name] for shard in missing}
-        versions = {library: str(manifest["versions"].get(library))[:50] for library in VERSIONS}
+        versions = {library: str(manifest["versions"].get(library, "unknown"))[:50] for library in VERSIONS}
         for shard in missing:
             name = shards.path(shard).name
             with files.open(f"{shards.place}/{name}") as source, appearing_whole(shards.path(shard)) as temporary:
