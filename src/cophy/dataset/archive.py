@@ -166,16 +166,17 @@ def copy_shards(missing: Sequence[int], shards: ShardSet, files: Files) -> dict[
         with files.open(f"{shards.place}/{name}") as source:
             _copy(source, content, MAX_MANIFEST)
         manifest = json.loads(content.getvalue())
-        checksums, versions = manifest["shards"], manifest["versions"]
+        checksums = {shard: manifest["shards"][shards.path(shard).name] for shard in missing}
+        versions = {library: str(manifest["versions"].get(library, "unknown"))[:50] for library in VERSIONS}
         for shard in missing:
             name = shards.path(shard).name
             with files.open(f"{shards.place}/{name}") as source, appearing_whole(shards.path(shard)) as temporary:
                 with open(temporary, "wb") as target:
                     checksum = _copy(source, target, shards.max_bytes(shard))
-                if checksum != checksums[name]:
+                if checksum != checksums[shard]:
                     raise DamagedShardError(f"its checksum is not the one in {MANIFEST}")
-        return {library: str(versions[library])[:50] for library in VERSIONS if library in versions}
-    except (*DAMAGE, KeyError, TypeError, ValueError, FileNotFoundError) as error:
+        return versions
+    except (*DAMAGE, AttributeError, KeyError, TypeError, ValueError, FileNotFoundError) as error:
         raise CophyError(f"{files.title}: {shards.place}/{name} is damaged ({printable(str(error))})") from error
 
 

@@ -58,7 +58,7 @@ def hash_code(*parts: object) -> str:
     Call it before data are generated, so that an edit in the meantime counts for the next command.
     """
     folders = [PACKAGE / name for name in CODE]
-    for part in parts:
+    for part in filter(None, parts):  # a de-renderer has no loss of positions
         source = inspect.getsourcefile(part.func if isinstance(part, partial) else type(part))
         if source and PACKAGE not in Path(source).parents:
             folders.append(Path(source).parent)
