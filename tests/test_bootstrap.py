@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cophy.bootstrap import Ratio, interval, mean
+from cophy.bootstrap import Ratio, interval, mean, variance_of_mean
 
 
 def test_experiments_that_do_not_count_are_left_out() -> None:
@@ -58,3 +58,14 @@ def test_columns_weigh_the_same_however_many_experiments_they_have() -> None:
 def test_a_draw_without_a_rare_column_is_of_the_others() -> None:
     rare = np.array([[1.0, 5.0], [2.0, np.nan], [3.0, np.nan]])
     assert all(1.0 <= end <= 5.0 for end in interval(rare, np.arange(3)))
+
+
+def test_the_variance_of_a_mean_is_that_over_clusters() -> None:
+    values = np.random.default_rng(0).normal(size=(40, 3))
+    clusters = np.arange(40) // 4
+    means = values.reshape(10, 4, 3).mean(axis=1)
+    variance, degrees = variance_of_mean(values, clusters)
+    assert variance == pytest.approx(means.var(axis=0, ddof=1) / 10)
+    assert degrees == 9
+    holes = np.concatenate([values[:, 0], np.full(4, np.nan)])
+    assert variance_of_mean(holes, np.arange(44) // 4) == pytest.approx((variance[0], 9))

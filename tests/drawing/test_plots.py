@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cophy.drawing.plots import draw_trajectories
+from cophy.drawing.plots import draw_error_over_time, draw_trajectories
 
 
 def test_twins_share_axis_limits() -> None:
@@ -15,3 +15,18 @@ def test_twins_share_axis_limits() -> None:
         limits = [(*axis.get_xlim(), *axis.get_ylim()) for axis in row]
         assert limits[0] == limits[1]
         assert limits[0] != limits[2]
+
+
+def test_objects_that_stay_at_their_height_are_drawn_from_above_only() -> None:
+    initial = np.random.default_rng(0).normal(size=(2, 2, 3))
+    true = initial[:, None] + np.array([1.0, 1.0, 0.0]) * np.arange(4)[:, None, None]
+    assert len(draw_trajectories(initial, true, true, np.ones((2, 2), bool), colors=["red", "blue"]).axes) == 2
+
+
+def test_bands_are_drawn_where_they_are_known() -> None:
+    curves = {name: np.ones(3) for name in ("a", "b")}
+    figure = draw_error_over_time(
+        curves, frame_rate_hz=5.0, half_widths={"a": np.full(3, 0.1), "b": np.full(3, np.nan)}
+    )
+    assert len(figure.axes[0].collections) == 1
+    assert figure.legends[0].get_texts()[-1].get_text() == "95 % interval\nover clusters"

@@ -50,6 +50,13 @@ def test_a_figure_is_a_png_and_the_same_pdf_each_time(tmp_path: Path) -> None:
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "a.pdf").read_bytes()[:5] == b"%PDF-"
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
+    assert b"/TrueType" in (tmp_path / "a.pdf").read_bytes()  # text, not paths
+
+
+def test_bars_have_a_unit_and_a_legend() -> None:
+    figure = drawn("copy_c", "cophynet")
+    assert figure.axes[0].get_ylabel() == "MSE (m²)"
+    assert [text.get_text() for text in figure.legends[0].get_texts()][:3] == ["ours", "ours, best", "the paper's"]
 
 
 def test_curves_are_of_the_largest_size_and_the_longest_training(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,7 +72,7 @@ def test_curves_are_of_the_largest_size_and_the_longest_training(monkeypatch: py
         examples = {name: np.zeros((2, 3, 4, 3)) for name in ("position", "target")}
         examples |= {"initial": np.zeros((2, 4, 3)), "presence": np.ones((2, 4), dtype=bool), "pair": np.arange(2)}
         curve = np.full(3, errors[directory])
-        return StoredPredictions(scores_of_mse(np.zeros(2), np.arange(2)), curve, examples)
+        return StoredPredictions(scores_of_mse(np.zeros(2), np.arange(2)), curve, 0.1 * curve, examples)
 
     curves: dict[str, np.ndarray] = {}
     monkeypatch.setattr(figures, "draw_error_over_time", lambda by_row, **options: curves.update(by_row) or Figure())
@@ -75,5 +82,5 @@ def test_curves_are_of_the_largest_size_and_the_longest_training(monkeypatch: py
     assert drawn[0] == "trajectories-blocktower-3to3-cophynet"
     assert len(list(draw_predictions(runs, predictions, scenarios, all_trajectories=True))) == 3
     assert drawn[-1] == "error_over_time-blocktower-3to3"
-    assert list(curves) == ["cophynet", "oracle_feedforward (first 100)"]
+    assert list(curves) == ["CoPhyNet", "Oracle without AB\n(first 100)"]
     assert [curve.max() for curve in curves.values()] == [0.0, 0.5]

@@ -29,7 +29,7 @@ from cophy.dataset.experiment_set import ExperimentSet
 from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States, sort_by_twins
-from cophy.report.figures import BLUE, GREY, RED, draw_stability_distribution
+from cophy.report.figures import BLUE, GREY, ORANGE, draw_stability_distribution
 
 
 def audit_generated(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -> Iterator[Check]:
@@ -133,7 +133,7 @@ def draw_classifiers(checks: Sequence[ClassifierCheck]) -> Figure:
         100 * np.array([getattr(check, name) for check in checks]) for name in ("accuracy", "chance", "low", "high")
     )
     axis.barh(y, chance, height=0.74, color=GREY, label="by chance")
-    colors = [BLUE if check.passed else RED for check in checks]
+    colors = [BLUE if check.passed else ORANGE for check in checks]
     axis.barh(y, accuracy, height=0.4, color=colors, label="classifier, 95 % interval")
     axis.errorbar(accuracy, y, xerr=(accuracy - low, high - accuracy), fmt="none", ecolor="black", capsize=3, lw=1)
     axis.axvline(50, color="black", lw=0.8, ls="--")

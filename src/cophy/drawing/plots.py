@@ -4,6 +4,7 @@ import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -24,7 +25,7 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 LINES, MARKERS = ("-", "--", ":", "-."), "osD^"
 
 
-def style(n: int) -> dict[str, str]:
+def style(n: int) -> dict[str, Any]:
     """Return colour, line and marker of the n-th line of a figure."""
     repeat = n // len(PALETTE) % len(LINES)
     return {"color": PALETTE[n % len(PALETTE)], "linestyle": LINES[repeat], "marker": MARKERS[repeat]}

@@ -223,7 +223,7 @@ def _panel(axis: Axes, frame: pd.DataFrame, by: str, title: str) -> None:
     labels = [textwrap.fill(group, room, break_long_words=False) for group in groups]
     axis.set_xticks(range(len(groups)), labels, fontsize="small")
     axis.set_xlim(-0.5, len(groups) - 0.5)
-    axis.set_title(title, fontsize="medium")
+    axis.set_title(textwrap.fill(title, PANEL_LETTERS - 8), fontsize="small")
     axis.grid(axis="y", alpha=0.2)
 
 
