@@ -44,7 +44,7 @@ LATEX_DOCUMENT = r"""% Compiles by itself: pdflatex document.tex
 \end{document}
 """
 WIDTH_FOR_INTERVALS = 100  # columns of the terminal
-MAX_LABEL, WHOLE_HEADING, GAP = 28, 12, 3  # characters
+MAX_LABEL, MAX_LATEX_LABEL, WHOLE_HEADING, GAP = 28, 44, 12, 3  # characters
 
 
 class Cell(NamedTuple):
@@ -173,26 +173,28 @@ def markdown(table: TextTable) -> str:
 def latex(table: TextTable) -> str:
     """Return table environments (of booktabs) of one page each: numbers, below them intervals, below these the paper's."""
     cells, with_intervals = table.cells, len(table.cells) <= ROWS_WITH_INTERVALS
-    lines = cells.map(lambda cell: _lines(cell._replace(interval=""), interval=False))
+    lines = cells.map(lambda cell: _lines(cell, interval=False))
     if len(cells.columns) > len(cells) and len(_blocks(lines.T, LATEX_WIDTH)) < len(_blocks(lines, LATEX_WIDTH)):
         cells, lines = cells.T, lines.T
+    options = [(_blocks(lines, LATEX_WIDTH, max_label), -max_label) for max_label in (MAX_LABEL, MAX_LATEX_LABEL)]
+    column_blocks, negative = min(options, key=lambda option: (len(option[0]), option[1]))
     parts = []
     for start in range(0, len(cells), LATEX_ROWS):
         page, continued = cells.iloc[start : start + LATEX_ROWS], " (continued)" if start else ""
         text = f"{table.title[:1].upper()}{table.title[1:]}{continued}. {table.caption if not start else ''}".strip()
         intervals = "" if with_intervals or start else " Intervals are in the CSV file."
-        label = f"\\label{{tab:{table.id}{start or ''}}}\n"
-        blocks = "\n\\medskip\n\n".join(_tabular(page[block], with_intervals) for block in _blocks(lines, LATEX_WIDTH))
+        label = f"\\label{{tab:{table.id}{start or ''}}}\n\\vspace{{4pt}}\n"
+        blocks = "\n\\medskip\n\n".join(_tabular(page[block], with_intervals, -negative) for block in column_blocks)
         parts.append(
             f"\\begin{{table}}[htbp]\n\\centering\n\\small\n\\caption{{{to_latex(text + intervals)}}}\n{label}{blocks}\\end{{table}}\n"
         )
     return "\n".join(parts)
 
 
-def _tabular(cells: pd.DataFrame, with_intervals: bool) -> str:
+def _tabular(cells: pd.DataFrame, with_intervals: bool, max_label: int) -> str:
     """Return a tabular environment; labels and headings that are long have several lines."""
-    is_long = max(len(str(label)) for label in cells.index) > MAX_LABEL
-    labels = r"p{0.36\linewidth}" if is_long else "l"
+    is_long = max(len(str(label)) for label in cells.index) > max_label
+    labels = rf"p{{{max_label / LATEX_WIDTH:.2f}\linewidth}}" if is_long else "l"
     headings = " & ".join([_heading(cells.index.name or ""), *map(_heading, map(str, cells.columns))])
     lines = [rf"\begin{{tabular}}{{{labels}{'r' * len(cells.columns)}}}", r"\toprule", rf"{headings} \\", r"\midrule"]
     for label, row in zip(cells.index, cells.itertuples(index=False), strict=True):
@@ -270,15 +272,15 @@ def _lines(cell: Cell, *, interval: bool) -> str:
     return text if cell.paper in ("", MISSING) else f"{text}\n{cell.paper}"
 
 
-def _blocks(texts: pd.DataFrame, width: int) -> list[list[str]]:
+def _blocks(texts: pd.DataFrame, width: int, max_label: int = MAX_LABEL) -> list[list[str]]:
     """Return the columns that fit next to each other, at least one in each block."""
     blocks: list[list[str]] = [[]]
-    used = _label_width(texts)
+    used = _label_width(texts, max_label)
     for column in map(str, texts.columns):
         column_width = _width(column, texts[column]) + GAP
         if blocks[-1] and used + column_width > width:
             blocks.append([])
-            used = _label_width(texts)
+            used = _label_width(texts, max_label)
         blocks[-1].append(column)
         used += column_width
     return blocks
@@ -298,9 +300,9 @@ def _rich_table(texts: pd.DataFrame, cells: pd.DataFrame, width: int) -> Table:
     return table
 
 
-def _label_width(texts: pd.DataFrame) -> int:
+def _label_width(texts: pd.DataFrame, max_label: int = MAX_LABEL) -> int:
     labels = [str(texts.index.name or ""), *map(str, texts.index)]
-    return max(min(max(map(len, labels)), MAX_LABEL), *_word_lengths(labels))
+    return max(min(max(map(len, labels)), max_label), *_word_lengths(labels))
 
 
 def _width(heading: str, texts: "pd.Series[str]") -> int:
