@@ -170,7 +170,7 @@ class Report:
             "document.tex": render.LATEX_DOCUMENT,
             "runs.csv": self._as_csv(self.runs),
             "methods.csv": self._as_csv(self.cells),
-            **{f"{filled.table.id}.csv": filled.values.to_csv(index=False) for filled in self.filled},
+            **{f"{filled.table.id}.csv": filled.lines(whole=bool(self.view.paper)).to_csv(index=False) for filled in self.filled},
         }
 
     @staticmethod
