@@ -56,7 +56,7 @@ def test_empty_rows_and_columns_are_left_out() -> None:
 
 
 def latex_of(cells: pd.DataFrame) -> str:
-    return latex(TextTable("x", "title", cells, "50 % of α&β_1"))
+    return latex(TextTable("x", "title", cells, "50 % of A&B_1"))
 
 
 def test_latex_has_numbers_then_intervals_then_the_papers() -> None:
@@ -64,7 +64,7 @@ def test_latex_has_numbers_then_intervals_then_the_papers() -> None:
         {"3→3": [Cell("0.1", "± 0.02", "[0.0, 0.2]", paper="0.3", best=True), Cell("—")]}, index=["Copy C", "drift_2"]
     )
     lines = latex_of(cells).splitlines()
-    assert r"\caption{Title. 50 \% of α\&β\_1}" in lines
+    assert r"\caption{Title. 50 \% of A\&B\_1}" in lines
     start = lines.index(r"Copy C & \textbf{0.1} $\pm$ 0.02 \\")
     assert lines[start + 1 : start + 4] == [
         r" & {\scriptsize [0.0, 0.2]} \\",
@@ -81,6 +81,7 @@ def test_latex_breaks_wide_tables_into_blocks_and_long_ones_into_pages() -> None
     long = pd.DataFrame({"all": [Cell("0.123", interval="[0, 1]")] * 90}, index=[f"m{n}" for n in range(90)])
     assert latex_of(long).count(r"\begin{table}") == latex_of(long).count(r"\end{table}") == 3
     assert "scriptsize" not in latex_of(long)
+    assert "Intervals are in the CSV file." in latex_of(long)
 
 
 def test_a_notice_fits(monkeypatch: pytest.MonkeyPatch) -> None:

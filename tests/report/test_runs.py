@@ -222,7 +222,7 @@ def test_a_metric_of_any_name_is_taken_for_nothing_else(name: str, tmp_path: Pat
     runs = read_runs(tmp_path)
     assert runs["error"].isna().all()
     assert runs.iloc[0][["metrics.mse", "low.mse", f"metrics.{name}", f"low.{name}"]].tolist() == [0.2, 0, 7, 6]
-    assert method_cells(runs)["mse"].tolist() == [0.2]
+    assert method_cells(runs)["metrics.mse"].tolist() == [0.2]
 
 
 @pytest.mark.parametrize("error", ["=cmd|'/c calc'!A0", 3, None])

@@ -32,8 +32,7 @@ LATEX = {
     **{"Σ": r"$\Sigma$", "Δ": r"$\Delta$", "λ": r"$\lambda$", "<": "$<$", ">": "$>$", "|": "$|$", "≤": r"$\leq$"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "*": "$^*$"},
 }
-LATEX_WIDTH, LATEX_ROWS = 72, 40  # characters of \small in a line of article, and rows on a page
-ROWS_WITH_INTERVALS = 20  # of a LaTeX table; with more, intervals are only in the CSV file
+LATEX_WIDTH, LATEX_LINES = 72, 40  # characters of \small in a line of article, and lines of a table on a page
 LATEX_HEAD = "% Tables of report.py for a paper; in its preamble: \\usepackage{booktabs}\n"
 LATEX_DOCUMENT = r"""% Compiles by itself: pdflatex document.tex
 \documentclass{article}
@@ -172,22 +171,26 @@ def markdown(table: TextTable) -> str:
 
 def latex(table: TextTable) -> str:
     """Return table environments (of booktabs) of one page each: numbers, below them intervals, below these the paper's."""
-    cells, with_intervals = table.cells, len(table.cells) <= ROWS_WITH_INTERVALS
+    cells = table.cells
     lines = cells.map(lambda cell: _lines(cell, interval=False))
     if len(cells.columns) > len(cells) and len(_blocks(lines.T, LATEX_WIDTH)) < len(_blocks(lines, LATEX_WIDTH)):
         cells, lines = cells.T, lines.T
-    options = [(_blocks(lines, LATEX_WIDTH, max_label), -max_label) for max_label in (MAX_LABEL, MAX_LATEX_LABEL)]
-    column_blocks, negative = min(options, key=lambda option: (len(option[0]), option[1]))
+    widths = {max_label: _blocks(lines, LATEX_WIDTH, max_label) for max_label in (MAX_LATEX_LABEL, MAX_LABEL)}
+    max_label, blocks = min(widths.items(), key=lambda option: len(option[1]))
+    num_lines = len(blocks) * (2 if lines.map(lambda text: "\n" in text).any(axis=None) else 1)  # per row
+    with_intervals = (num_lines + len(blocks)) * len(cells) <= LATEX_LINES
+    rows = max(len(cells) if with_intervals else LATEX_LINES // num_lines, 1)
+    title = table.title.replace("Table", "The paper's Table", 1)
+    title, caption = f"{title[:1].upper()}{title[1:]}", table.caption
+    if not with_intervals and cells.map(lambda cell: bool(cell.interval)).any(axis=None):
+        caption = f"{caption} Intervals are in the CSV file."
     parts = []
-    for start in range(0, len(cells), LATEX_ROWS):
-        page, continued = cells.iloc[start : start + LATEX_ROWS], " (continued)" if start else ""
-        text = f"{table.title[:1].upper()}{table.title[1:]}{continued}. {table.caption if not start else ''}".strip()
-        intervals = "" if with_intervals or start else " Intervals are in the CSV file."
-        label = f"\\label{{tab:{table.id}{start or ''}}}\n\\vspace{{4pt}}\n"
-        blocks = "\n\\medskip\n\n".join(_tabular(page[block], with_intervals, -negative) for block in column_blocks)
-        parts.append(
-            f"\\begin{{table}}[htbp]\n\\centering\n\\small\n\\caption{{{to_latex(text + intervals)}}}\n{label}{blocks}\\end{{table}}\n"
-        )
+    for start in range(0, len(cells), rows):
+        page = cells.iloc[start : start + rows]
+        text = to_latex(f"{title} (continued)." if start else f"{title}. {caption}".strip())
+        tabulars = "\n\\medskip\n\n".join(_tabular(page[block], with_intervals, max_label) for block in blocks)
+        head = f"\\begin{{table}}[htbp]\n\\centering\n\\small\n\\caption{{{text}}}\n\\label{{tab:{table.id}{start or ''}}}\n"
+        parts.append(f"{head}\\vspace{{4pt}}\n{tabulars}\\end{{table}}\n")
     return "\n".join(parts)
 
 
@@ -200,7 +203,7 @@ def _tabular(cells: pd.DataFrame, with_intervals: bool, max_label: int) -> str:
     for label, row in zip(cells.index, cells.itertuples(index=False), strict=True):
         ours = [to_latex(cell._replace(best=False).text(interval=False)) for cell in row]
         ours = [
-            text.replace(number := to_latex(cell.ours), rf"\textbf{{{number}}}", 1) if cell.best else text
+            text.replace(ours_text := to_latex(cell.ours), rf"\textbf{{{ours_text}}}", 1) if cell.best else text
             for cell, text in zip(row, ours, strict=True)
         ]
         raggedright = r"\raggedright " if is_long else ""
