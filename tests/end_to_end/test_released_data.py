@@ -64,17 +64,18 @@ def test_a_row_on_released_data_fills_its_own_table(tree: CoPhyTree, tmp_path: P
 @pytest.mark.parametrize("other", ["generated", "filtered_cophy"])
 def test_a_row_on_released_data_fills_no_other_table(tree: CoPhyTree, tmp_path: Path, other: str) -> None:
     train(tree, tmp_path, "scenario=blocktower")
-    printed = run("report", f"source={other}", f"outputs={tmp_path / 'outputs'}", "data_dir=nowhere", code=1)
-    assert (
-        f"metrics.json is skipped: its data come from source=cophy, but these tables are for source={other}" in printed
-    )
-    assert "no run can be reported, for the reasons above" in printed
+    run("report", f"source={other}", f"outputs={tmp_path / 'outputs'}", f"directory={tmp_path}", "data_dir=nowhere")
+    markdown = (tmp_path / "tables.md").read_text()
+    assert "blocktower, size cophy, true positions" in markdown
+    assert "Table 2" not in markdown
 
 
 def test_a_row_on_generated_data_fills_no_table_of_released_ones(tiny_data: Path, tmp_path: Path) -> None:
     train_on_generated("model=copy_c", f"source.outputs={tmp_path}", data=tiny_data)
-    printed = run("report", "source=cophy", f"outputs={tmp_path}", "data_dir=nowhere", code=1)
-    assert "its data come from source=generated, but these tables are for source=cophy" in printed
+    run("report", "source=cophy", f"outputs={tmp_path}", f"directory={tmp_path}", "data_dir=nowhere")
+    markdown = (tmp_path / "tables.md").read_text()
+    assert "size tiny, true positions" in markdown
+    assert "Table 2" not in markdown
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from cophy.training.run import write_predictions
 from cophy.types import Prediction, Targets
 from tests.report.lines import run
 
+NOT_WRITTEN = ("error", "directory", "changes", "data", "variant")
 PLACE = Path("blocktower/3to3/cophynet/full/ground_truth/seed0")
 
 
@@ -18,7 +19,7 @@ def content(**changes: Any) -> dict[str, Any]:
     """metrics.json of a run."""
     line = run("cophynet") | {"dataset_ids": ["3-x"], "metrics": {"mse": 0.2}, "intervals": {"mse": [0.1, 0.3]}}
     line |= {"max_epochs": 80, "metric_dims": 3, "num_test": 4}
-    return {key: value for key, value in (line | changes).items() if key not in ("error", "directory")}
+    return {key: value for key, value in (line | changes).items() if key not in NOT_WRITTEN or key in changes}
 
 
 def leave(directory: Path, metrics: str | bytes, error: float = 0.0) -> None:

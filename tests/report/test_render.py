@@ -3,12 +3,11 @@
 import pandas as pd
 import pytest
 
-from cophy.report.overview import overview_tables
 from cophy.report.paper_tables import paper_tables
-from cophy.report.render import Cell, filled_only, show, table_cells
+from cophy.report.render import Cell, TextTable, filled_only, latex, show, table_cells
 from cophy.report.runs import notice
 from cophy.report.tables import fill
-from tests.report.lines import measured, run
+from tests.report.lines import measured
 
 TABLES = {table.id: table for table in paper_tables()}
 
@@ -56,22 +55,33 @@ def test_empty_rows_and_columns_are_left_out() -> None:
     assert filled_only(cells).to_dict() == {"a": {"x": Cell("0.1")}}
 
 
-def test_the_overview_tells_mse_epochs_seeds_and_failures() -> None:
-    lines = [
-        *(run("cophynet", seed=seed) for seed in range(3)),
-        run("cophynet", seed=3, epochs=20),
-        run("copy_c", training_seconds=0.0, is_trained=False),
-        run("cophynet", split="3to4") | {"error": "broken"},
-        run("in", positions="derendered"),
+def latex_of(cells: pd.DataFrame) -> str:
+    return latex(TextTable("x", "title", cells, "50 % of A&B_1"))
+
+
+def test_latex_has_numbers_then_intervals_then_the_papers() -> None:
+    cells = pd.DataFrame(
+        {"3→3": [Cell("0.1", "± 0.02", "[0.0, 0.2]", paper="0.3", best=True), Cell("—")]}, index=["Copy C", "drift_2"]
+    )
+    lines = latex_of(cells).splitlines()
+    assert r"\caption{Title. 50 \% of A\&B\_1}" in lines
+    start = lines.index(r"Copy C & \textbf{0.1} $\pm$ 0.02 \\")
+    assert lines[start + 1 : start + 4] == [
+        r" & {\scriptsize [0.0, 0.2]} \\",
+        r"\quad the paper's & 0.3 \\",
+        r"drift\_2 & -- \\",
     ]
-    found = overview_tables(pd.DataFrame([line | {"metrics.mse": 0.2} for line in lines]))
-    assert list(found) == [
-        "blocktower, size small, estimated positions",
-        "blocktower, size small, true positions",
-    ]
-    table = found["blocktower, size small, true positions"]
-    assert table.loc["cophynet"].map(Cell.line).to_dict() == {"3to3": "0.200 (20, 40 × 3)", "3to4": "1 failed"}
-    assert table.loc["copy_c"].map(Cell.line).to_dict() == {"3to3": "0.200 (× 1)", "3to4": "—"}
+
+
+def test_latex_breaks_wide_tables_into_blocks_and_long_ones_into_pages() -> None:
+    wide = pd.DataFrame(
+        {f"split {n}": [Cell("0.123", "± 0.004")] * 9 for n in range(8)}, index=[f"m{n}" for n in range(9)]
+    )
+    assert latex_of(wide).count(r"\begin{tabular}") > 1
+    long = pd.DataFrame({"all": [Cell("0.123", interval="[0, 1]")] * 90}, index=[f"m{n}" for n in range(90)])
+    assert latex_of(long).count(r"\begin{table}") == latex_of(long).count(r"\end{table}") == 3
+    assert "scriptsize" not in latex_of(long)
+    assert "Intervals are in the CSV file." in latex_of(long)
 
 
 def test_a_notice_fits(monkeypatch: pytest.MonkeyPatch) -> None:

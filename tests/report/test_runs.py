@@ -5,7 +5,6 @@ import math
 import os
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,18 +14,11 @@ import pytest
 from cophy.commands.report import ComposedData
 from cophy.errors import CophyError
 from cophy.report import pipeline
-from cophy.report.overview import summarize_runs
+from cophy.report.methods import method_cells
 from cophy.report.predictions import read_stored_predictions
-from cophy.report.runs import comparable_seeds, largest_size, read_runs
+from cophy.report.runs import comparable_seeds, filter_runs, largest_size, read_runs, standard_runs
 from tests.report.lines import measured, run
 from tests.report.stored_runs import PLACE, content, leave
-
-
-def scenario(name: str, num_slots: int = 3) -> Any:
-    """A scenario with the shapes of the stored predictions."""
-    return SimpleNamespace(
-        clock=SimpleNamespace(num_frames=6), num_slots=num_slots, task=SimpleNamespace(metric_dims=3)
-    )
 
 
 def leave_failure(directory: Path, error: object) -> None:
@@ -35,28 +27,8 @@ def leave_failure(directory: Path, error: object) -> None:
     (directory / "failure.json").write_text(json.dumps(names | {"error": error}))
 
 
-def not_checked(scenario: str, size: str) -> None:
+def no_dataset(scenario: str, size: str) -> None:
     """Datasets are not checked."""
-
-
-def test_the_summary_tells_the_cost() -> None:
-    runs = pd.DataFrame([measured("mse", 0.2, "cophynet"), run("npe", error="boom")])
-    line = summarize_runs(runs).iloc[0]
-    assert (line["run"], line["training (s)"], line["mse"]) == (
-        "blocktower 3to3 cophynet full ground_truth small",
-        "100",
-        "0.200",
-    )
-    assert summarize_runs(runs).iloc[1]["seeds"] == "0 (1 failed)"
-    assert summarize_runs(pd.DataFrame()).empty
-
-
-def test_the_summary_averages_seeds_alone() -> None:
-    seeds = [measured("mse", value, "cophynet", seed=seed) for seed, value in enumerate((0.2, 0.3))]
-    longer = [measured("mse", 0.1, "cophynet", epochs=120)]
-    lines = summarize_runs(pd.DataFrame(seeds + longer)).set_index("epochs")
-    assert lines["mse"].to_dict() == {"40": "0.250 ± 0.071", "120": "0.100"}
-    assert lines["seeds"].to_dict() == {"40": "2", "120": "1"}
 
 
 def test_runs_that_differ_in_their_seed_alone_may_be_averaged() -> None:
@@ -72,22 +44,22 @@ def test_runs_that_differ_in_their_seed_alone_may_be_averaged() -> None:
     assert largest_size(sizes)["size"].tolist() == ["paper"]
 
 
-def test_what_was_refused_before_it_began_does_not_count(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_was_refused_before_it_began_is_no_run(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     for seed, begun in enumerate((True, False)):
         directory = tmp_path / PLACE.with_name(f"seed{seed}")
         directory.mkdir(parents=True)
         names = run("cophynet", seed=seed) | {"variant": "", "error": "ValueError: boom", "has_begun": begun}
         (directory / "failure.json").write_text(json.dumps({**names, "directory": ""}))
-    assert read_runs(tmp_path, not_checked)["seed"].tolist() == [0]
-    assert "1 run is not in the tables" in caplog.text
+    runs = read_runs(tmp_path)
+    assert (runs["seed"].tolist(), runs.attrs["unused"], caplog.text) == ([0], 0, "")
 
 
 def test_only_runs_in_their_own_place_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     for directory in (PLACE, Path("demo") / PLACE, Path("blocktower/3to3/in/full/ground_truth/seed0")):
         leave(tmp_path / directory, json.dumps(content()))
-    runs = read_runs(tmp_path, not_checked)
+    runs = read_runs(tmp_path)
     assert list(runs["directory"]) == [tmp_path / PLACE]
     assert "are not where train.py puts them and are not read" in " ".join(caplog.text.split())
     assert runs.iloc[0][["metrics.mse", "low.mse", "high.mse", "epochs", "metric_dims"]].tolist() == [
@@ -99,11 +71,46 @@ def test_only_runs_in_their_own_place_are_read(tmp_path: Path, caplog: pytest.Lo
     ]
 
 
-def test_runs_with_other_settings_fill_no_table(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_runs_with_other_settings_are_read_and_fill_no_table_of_the_paper(tmp_path: Path) -> None:
     for variant in ("", "+size-tiny+max_epochs-1", "+size-tiny+hidden_dim-8"):
         leave(tmp_path / PLACE.with_name(f"seed0{variant}"), json.dumps(content(variant=variant)))
-    assert sorted(read_runs(tmp_path, not_checked)["variant"]) == ["", "+size-tiny+max_epochs-1"]
-    assert "(hidden_dim-8): blocktower 3to3 cophynet." in " ".join(caplog.text.split())
+    runs = read_runs(tmp_path)
+    assert len(runs) == 3
+    assert sorted(standard_runs(runs, no_dataset)["variant"]) == ["", "+size-tiny+max_epochs-1"]
+
+
+def test_changes_have_whole_keys_and_are_of_the_data_or_the_method(tmp_path: Path) -> None:
+    new = {
+        "variant": "+data_seed-1+hidden_dim-8",
+        "changes": {"size": "tiny", "data_seed": "1", "model.hidden_dim": "8"},
+    }
+    for seed, changes in enumerate((new, {"variant": "+hidden_dim-16"}, {})):
+        named = content(seed=seed, validation={"val/mse": 0.5}, **changes)
+        leave(tmp_path / PLACE.with_name(f"seed{seed}{named.get('variant', '')}"), json.dumps(named))
+    runs = read_runs(tmp_path)
+    assert runs["data"].tolist() == ["data_seed=1", "", ""]
+    assert runs["changes"].tolist() == [(("model.hidden_dim", "8"),), (("model.hidden_dim", "16"),), ()]
+    assert runs["validation_mse"].tolist() == [0.5] * 3
+
+
+def test_filters_take_models_rows_and_splits_and_name_those_that_exist() -> None:
+    runs = pd.DataFrame([run("in"), run("in", "gt_confounders", split="3to4"), run("drift")])
+
+    def chosen(models: list[str], splits: list[str]) -> list[int]:
+        return filter_runs(runs, models, splits).index.tolist()
+
+    assert chosen([], []) == [0, 1, 2]
+    assert chosen(["in"], []) == [0, 1]
+    assert chosen(["in_sup", "drift"], []) == chosen(["in_gt_confounders", "drift"], []) == [1, 2]
+    assert chosen(["in"], ["3to4"]) == [1]
+    with pytest.raises(
+        CophyError, match=r"models=: no run is of drft; there are: drift, in, in_gt_confounders, in_sup"
+    ):
+        chosen(["drft"], [])
+    with pytest.raises(CophyError, match=r"splits=: no run is of 4to4; there are: 3to3, 3to4"):
+        chosen([], ["4to4"])
+    with pytest.raises(CophyError, match=r"models=\['drift'\] and of splits=\['3to4'\]"):
+        chosen(["drift"], ["3to4"])
 
 
 @pytest.mark.parametrize("fault", [AttributeError, KeyError, TypeError, ValueError])
@@ -114,16 +121,13 @@ def test_faults_of_the_code_keep_their_traceback(tmp_path: Path, fault: type[Exc
         raise fault("a fault")
 
     with pytest.raises(fault, match="a fault"):
-        read_runs(tmp_path, faulty)
+        standard_runs(read_runs(tmp_path), faulty)
 
 
-def test_a_run_on_other_data_than_its_names_stand_for_fills_no_table(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_run_on_other_data_than_its_names_stand_for_fills_no_table_of_the_paper(tmp_path: Path) -> None:
     for seed, dataset in enumerate(("3-x", "3-old")):
         leave(tmp_path / PLACE.with_name(f"seed{seed}"), json.dumps(content(seed=seed, dataset_ids=[dataset])))
-    assert read_runs(tmp_path, lambda scenario, size: {"3-x"})["seed"].tolist() == [0]
-    assert "(dataset 3-old): blocktower 3to3 cophynet." in " ".join(caplog.text.split())
+    assert standard_runs(read_runs(tmp_path), lambda scenario, size: {"3-x"})["seed"].tolist() == [0]
 
 
 def test_names_stand_for_the_data_that_are_generated_today() -> None:
@@ -156,6 +160,9 @@ INVALID = {
     "a formula": json.dumps(content(metrics={"mse": 0.2, "=1+1": 1.0})),
     "HTML": json.dumps(content(size="<script>")),
     "a lone surrogate": json.dumps(content(derenderer="\ud800")),
+    "a list of changes": json.dumps(content(changes=["hidden_dim"])),
+    "a number for a change": json.dumps(content(changes={"hidden_dim": 8})),
+    "a formula for a key": json.dumps(content(changes={"=1+1": "8"})),
     "lists for names": json.dumps(content(dataset_ids=[["3-x"]])),
 }
 
@@ -164,7 +171,7 @@ INVALID = {
 def test_an_invalid_run_is_named_and_skipped(tmp_path: Path, metrics: str, caplog: pytest.LogCaptureFixture) -> None:
     leave(tmp_path / PLACE, metrics)
     leave(tmp_path / PLACE.with_name("seed1"), json.dumps(content(seed=1)))
-    assert read_runs(tmp_path, not_checked)["seed"].tolist() == [1]
+    assert read_runs(tmp_path)["seed"].tolist() == [1]
     assert f"{PLACE} is skipped: metrics.json" in caplog.text
 
 
@@ -191,24 +198,18 @@ def test_damaged_predictions_are_named_and_their_run_skipped(
     path.unlink()
     if changes is not None:
         np.savez_compressed(path, **(arrays | changes))
-    assert read_stored_predictions(read_runs(tmp_path, not_checked), scenario) == {}
+    assert read_stored_predictions(read_runs(tmp_path)) == {}
     assert "predictions.npz is missing or damaged" in caplog.text
 
 
 @pytest.mark.parametrize(
-    ("facts", "slots", "message"),
-    [
-        ({}, 3, ""),
-        ({}, 4, "test experiments"),
-        ({"num_test": 5}, 3, "test experiments"),
-        ({"metrics": {"mse": 0.2}}, 3, "0.2"),
-    ],
+    ("facts", "message"), [({}, ""), ({"num_test": 5}, "test experiments"), ({"metrics": {"mse": 0.2}}, "0.2")]
 )
 def test_predictions_are_those_of_the_metrics(
-    facts: dict[str, Any], slots: int, message: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    facts: dict[str, Any], message: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     leave(tmp_path / PLACE, json.dumps(content(**({"metrics": {"mse": 1.0}} | facts))), error=1.0)
-    stored = read_stored_predictions(read_runs(tmp_path, not_checked), lambda name: scenario(name, slots))
+    stored = read_stored_predictions(read_runs(tmp_path))
     assert list(stored) == ([] if message else [tmp_path / PLACE])
     assert message in caplog.text
 
@@ -218,21 +219,21 @@ def test_a_metric_of_any_name_is_taken_for_nothing_else(name: str, tmp_path: Pat
     leave(
         tmp_path / PLACE, json.dumps(content(metrics={"mse": 0.2, name: 7.0}, intervals={"mse": [0, 1], name: [6, 8]}))
     )
-    runs = read_runs(tmp_path, not_checked)
+    runs = read_runs(tmp_path)
     assert runs["error"].isna().all()
     assert runs.iloc[0][["metrics.mse", "low.mse", f"metrics.{name}", f"low.{name}"]].tolist() == [0.2, 0, 7, 6]
-    assert summarize_runs(runs)["mse"].tolist() == ["0.200"]
+    assert method_cells(runs)["metrics.mse"].tolist() == [0.2]
 
 
 @pytest.mark.parametrize("error", ["=cmd|'/c calc'!A0", 3, None])
 def test_a_failure_that_train_py_did_not_write_is_skipped(error: object, tmp_path: Path) -> None:
     leave_failure(tmp_path / PLACE, error)
-    assert read_runs(tmp_path, not_checked).empty
+    assert read_runs(tmp_path).empty
 
 
 def test_the_error_of_a_failed_run_is_one_line_that_any_medium_shows(tmp_path: Path) -> None:
     leave_failure(tmp_path / PLACE, "ValueError: \x1b]0;title\x07\x1b[2J a\nb \ud800")
-    (error,) = read_runs(tmp_path, not_checked)["error"]
+    (error,) = read_runs(tmp_path)["error"]
     assert error == r"ValueError: \x1b]0;title\x07\x1b[2J a b \ud800"
 
 
@@ -243,15 +244,15 @@ def test_what_is_no_regular_file_is_skipped(replace: Callable[[Path], None], tmp
     leave(tmp_path / PLACE, "{}")
     (tmp_path / PLACE / "metrics.json").unlink()
     replace(tmp_path / PLACE / "metrics.json")
-    assert read_runs(tmp_path, not_checked).attrs["unused"] == 1
+    assert read_runs(tmp_path).attrs["unused"] == 1
 
 
 def test_what_cannot_be_read_is_counted(tmp_path: Path) -> None:
-    assert read_runs(tmp_path, not_checked).attrs["unused"] == 0
+    assert read_runs(tmp_path).attrs["unused"] == 0
     broken = tmp_path / "balls" / "4to4" / "in" / "full" / "ground_truth" / "seed0" / "metrics.json"
     broken.parent.mkdir(parents=True)
     broken.write_text("{}")
-    assert read_runs(tmp_path, not_checked).attrs["unused"] == 1
+    assert read_runs(tmp_path).attrs["unused"] == 1
 
 
 def test_tables_are_written_before_they_are_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,7 +264,5 @@ def test_tables_are_written_before_they_are_printed(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(pipeline.Report, "show", refuse)
     unused: Any = None
     with pytest.raises(BrokenPipeError):
-        pipeline.write_report(
-            tmp_path, tmp_path / "report", pipeline.Configurations(unused, unused, None, not_checked), show_all=False
-        )
+        pipeline.write_report(tmp_path, tmp_path / "report", pipeline.Configurations(unused, unused, None, no_dataset))
     assert "ValueError: boom" in (tmp_path / "report" / "runs.csv").read_text()

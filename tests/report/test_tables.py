@@ -10,7 +10,7 @@ import torch
 
 from cophy.report.paper_tables import paper_tables
 from cophy.report.predictions import stored_scores
-from cophy.report.render import caption, latex, markdown, share_cells, table_cells
+from cophy.report.render import caption, latex, markdown, paper_text_tables, share_cells, table_cells
 from cophy.report.tables import FilledTable, fill, share_of_gain
 from cophy.training.predictor import prediction_arrays
 from cophy.training.run import write_predictions
@@ -30,10 +30,14 @@ def shares_of(filled: FilledTable) -> pd.DataFrame:
     return share_cells(filled).map(lambda cell: cell.line())
 
 
-def test_the_best_of_the_comparable_methods_is_bold() -> None:
+def test_the_best_of_the_comparable_methods_is_bold_at_the_papers_size() -> None:
     runs = pd.DataFrame(
         [measured("mse", 0.4, "copy_c"), measured("mse", 0.2, "cophynet"), measured("mse", 0.1, "in", "gt_confounders")]
     )
+    small = fill(TABLES["blocktower"], runs)
+    assert "**" not in "".join(cells(small, ("**", "**")).to_numpy().flat)
+    assert "nothing is in bold" in caption(small)
+    runs["size"] = "paper"
     texts = cells(fill(TABLES["blocktower"], runs), ("**", "**")).loc["3→3"]
     assert texts["Copy C"] == "0.400 [0.390, 0.420] / 0.470"
     assert texts["CoPhyNet"] == "**0.200** [0.190, 0.220] / 0.294"
@@ -43,7 +47,7 @@ def test_the_best_of_the_comparable_methods_is_bold() -> None:
 
 def test_accuracies_are_percent_and_higher_is_better() -> None:
     metric = "sequence_stability_accuracy"
-    runs = pd.DataFrame([measured(metric, 0.5, "copy_c"), measured(metric, 0.75, "cophynet")])
+    runs = pd.DataFrame([measured(metric, 0.5, "copy_c"), measured(metric, 0.75, "cophynet")]).assign(size="paper")
     texts = cells(fill(TABLES["stability"], runs), ("**", "**"))["3→3"]
     assert texts["CoPhyNet"] == "**75.0** [74.0, 77.0] / 76.8"
     assert texts["Copy C"] == "50.0 [49.0, 52.0] / 71.0"
@@ -56,7 +60,7 @@ def test_the_share_of_the_possible_gain_is_between_the_oracles() -> None:
     assert shares.loc["3→3", ["CoPhyNet", "IN", "Copy C", "NPE"]].tolist() == ["75%", "0%", "-50%", "—"]
     assert not any("Oracle" in column for column in shares.columns)
     assert not filled.values.set_index(["row", "column"])["best"]["3→3", "Oracle with AB"]  # it does not compete
-    assert "75%" in markdown(filled)
+    assert "75%" in markdown(paper_text_tables(filled, whole=False)[1])
     without = pd.DataFrame([measured("mse", 0.2, "cophynet")])
     assert fill(TABLES["blocktower"], without).shares().empty
 
@@ -206,9 +210,12 @@ def test_every_format_shows_the_number(table: str) -> None:
     runs = pd.DataFrame([measured(metric, 0.123, **{**choice, "seed": 0})])
     filled = fill(TABLES[table], runs)
     shown = f"{0.123 * TABLES[table].scale:.{TABLES[table].digits}f}"
-    for text in (markdown(filled), latex(filled)):
-        assert shown in text
-    assert not set("→†±—").intersection(latex(filled))
+    for whole in (False, True):
+        shown_table, *_ = paper_text_tables(filled, whole=whole)
+        for text in (markdown(shown_table), latex(shown_table)):
+            assert shown in text
+        assert latex(shown_table).isascii()
+        assert whole or (shown_table.cells.map(lambda cell: cell.ours) != "—").any(axis=None)
 
 
 def test_every_number_of_the_paper_has_a_cell_and_no_other_table() -> None:

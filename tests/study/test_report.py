@@ -106,7 +106,7 @@ def description(data: str) -> str:
 def test_a_report_without_runs_has_the_tables_of_studies(tmp_path: Path, data: ComposedData) -> None:
     configurations = Configurations(data.scenario, data.default_split, data.dataset, data.dataset_ids)
     supplement = Supplement(tables=study_tables([study(rows("stays"))]))
-    write_report(tmp_path, tmp_path / "report", configurations, supplement, show_all=False)
+    write_report(tmp_path, tmp_path / "report", configurations, supplement)
     assert "Human study" in (tmp_path / "report" / "tables.md").read_text()
 
 

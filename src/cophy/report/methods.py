@@ -38,6 +38,8 @@ MEASURES = {  # metric -> title, digits, factor to the title's unit, whether low
         "How often a prediction is nearer to its own D than to its twin's; 50 by chance.",
     ),
 }
+VALIDATION = "val/mse"  # MSE of the validation split; no test metric has a slash in its name
+COUNTS = ("num_train", "num_test", "epochs", "training_seconds")
 MORE_INPUTS = ("model.confounders", "model.object_type", "model.pose", "training.confounder_weight")
 
 
@@ -48,20 +50,38 @@ def method_cells(runs: pd.DataFrame) -> pd.DataFrame:
         runs: See `read_runs`; not empty.
 
     Returns:
-        The names of the table and the method; `method`, its printed name; `column`, the heading of the split; changes; seeds
-        and failed, numbers of runs; num_train, num_test, epochs (NaN without training), training_seconds; every metric and
-        validation_mse, means over seeds with their <metric>_sd, <metric>_low and <metric>_high; competes, whether it sees what
-        the paper's model sees; is_selected, whether it is the best by validation of its method's settings.
+        The names of the table and the method; `method`, its printed name; `column`, the heading of the split; changes, and
+        those shared by all trainings of the table; seeds and failed, numbers of runs; num_train, num_test, epochs (NaN
+        without training), training_seconds; means over seeds `metrics.<name>` of every metric and of VALIDATION, their
+        `sd.<name>`, and means of the ends of intervals `low.<name>`, `high.<name>`; competes, whether it sees what the paper's
+        model sees; is_selected, whether it is the best by validation of its method's settings.
     """
-    lines = []
+    lines, cell_of = [], dict[Any, int]()
     for _, of_table in runs.groupby(TABLE):
         shared = shared_changes(of_table)
         for (column, *_), of_cell in of_table.groupby([np.array(_columns(of_table)), *METHOD]):
-            lines.append(_line(of_cell, shared) | {"column": str(column)})
-    cells = pd.DataFrame(lines)
+            finished = of_cell[of_cell["error"].isna()]
+            seeds = comparable_seeds(finished) if len(finished) else finished
+            cell_of |= dict.fromkeys(seeds.index, len(lines))
+            lines.append(
+                _line(of_cell, seeds, shared) | {"column": str(column), "failed": len(of_cell) - len(finished)}
+            )
+    cells = pd.DataFrame(lines).join(_means(runs.loc[list(cell_of)], pd.Series(cell_of, dtype=int)))
     settings = cells.groupby([*TABLE, "column", "model", "ablation"])
     selected = {_selected(of_method) for _, of_method in settings}
     return cells.assign(is_selected=cells.index.isin(selected))
+
+
+def _means(runs: pd.DataFrame, cell: "pd.Series[int]") -> pd.DataFrame:
+    """Return means and standard deviations over the runs of each cell."""
+    values = runs.rename(columns={"validation_mse": f"metrics.{VALIDATION}"})
+    values = (
+        values[[name for name in values if name.startswith(("metrics.", "low.", "high."))]].astype(float).groupby(cell)
+    )
+    deviations = (
+        values.std().filter(regex=r"^metrics\.").rename(columns=lambda name: f"sd.{name.removeprefix('metrics.')}")
+    )
+    return values.mean().join(deviations)
 
 
 def shared_changes(runs: pd.DataFrame) -> dict[str, str]:
@@ -91,40 +111,37 @@ def split_title(split: str) -> str:
     return re.sub(r"(?<=\d)to(?=\d)|_to_", "→", split).replace("_", " ")
 
 
-def _line(runs: pd.DataFrame, shared: dict[str, str]) -> dict[str, Any]:
-    first, finished = runs.iloc[0], runs[runs["error"].isna()]
+def _line(runs: pd.DataFrame, seeds: pd.DataFrame, shared: dict[str, str]) -> dict[str, Any]:
+    """Return names and counts of a cell; `seeds` are those of its runs that are averaged."""
+    first = runs.iloc[0]
     changes = dict(first["changes"])
     own = {key: value for key, value in changes.items() if shared.get(key) != value}
-    names = {name: first[name] for name in (*TABLE, *METHOD, "split", "directory")}
-    line = names | {"changes": changes, "method": method_title(first["model"], first["ablation"], own)}
-    line |= {"seeds": 0, "failed": len(runs) - len(finished), "competes": False}
-    if finished.empty:
+    line = {name: first[name] for name in (*TABLE, *METHOD, "split", "directory")}
+    line |= {"changes": changes, "shared": shared, "method": method_title(first["model"], first["ablation"], own)}
+    line |= {"seeds": len(seeds), "competes": False} | dict.fromkeys(COUNTS, np.nan)
+    if seeds.empty:
         return line
-    seeds = comparable_seeds(finished)
-    line |= {"seeds": len(seeds), "num_train": seeds["num_train"].max(), "num_test": seeds["num_test"].min()}
-    line |= {name: seeds[name].mean() for name in ("training_seconds",)}
+    line |= {"num_train": seeds["num_train"].max(), "num_test": seeds["num_test"].min()}
+    line["training_seconds"] = seeds["training_seconds"].mean()
     line["epochs"] = seeds["epochs"].max() if seeds["is_trained"].any() else np.nan
-    line["competes"] = _competes(first["model"], first["ablation"], changes, seeds.get("inputs", pd.Series()).iloc[:1])
-    for name in seeds.columns[seeds.notna().any()]:
-        if name == "validation_mse" or name.startswith("metrics."):
-            metric = name.removeprefix("metrics.")
-            line |= {metric: seeds[name].mean(), f"{metric}_sd": seeds[name].std()}
-            line |= {f"{metric}_{end}": seeds[f"{end}.{metric}"].mean() for end in ("low", "high") if name != metric}
+    inputs = seeds["inputs"].iloc[0] if "inputs" in seeds else []
+    line["competes"] = _competes(first["model"], first["ablation"], changes, inputs)
     return line
 
 
-def _competes(model: str, ablation: str, changes: dict[str, str], inputs: "pd.Series[Any]") -> bool:
+def _competes(model: str, ablation: str, changes: dict[str, str], inputs: list[str]) -> bool:
     """Return whether a method sees positions of AB and C alone and simulates nothing, so that it can be the best."""
     given_more = {(method.model, method.ablation) for method in methods().values() if not method.competes}
     ablations = {name for _, name in given_more} - {"full"}
     is_given_more = (model, ablation) in given_more or ablation in ablations or not {*MORE_INPUTS}.isdisjoint(changes)
-    return not (is_given_more or model.startswith(SIMULATED) or any(map(len, inputs)))
+    return not (is_given_more or model.startswith(SIMULATED) or inputs)
 
 
 def _selected(settings: pd.DataFrame) -> Any:
     """Return the index of the setting of a method with the lowest validation MSE; without any, of the unchanged one."""
-    if settings.get("validation_mse", pd.Series()).notna().any():
-        return settings["validation_mse"].idxmin()
+    validation = settings.get(f"metrics.{VALIDATION}")
+    if validation is not None and validation.notna().any():
+        return validation.idxmin()
     return settings["variant"].map(len).idxmin()
 
 
@@ -142,8 +159,9 @@ def method_tables(cells: pd.DataFrame) -> Iterator[TextTable]:
     """
     for keys, of_table in cells.groupby(TABLE):
         for metric in MEASURES:
-            if metric in of_table and (metric == "mse" or of_table[metric].notna().any()):
-                known = of_table if metric == "mse" else of_table[of_table[metric].notna()]
+            column = f"metrics.{metric}"
+            known = of_table if metric == "mse" else of_table[of_table[column].notna()] if column in of_table else ()
+            if len(known):
                 yield _table(known, metric, "-".join(filter(None, map(str, keys))))
 
 
@@ -177,13 +195,15 @@ def _table(cells: pd.DataFrame, metric: str, name: str) -> TextTable:
 
 
 def _description(cells: pd.DataFrame) -> str:
-    """Return the sentence on numbers of experiments, epochs and seeds."""
+    """Return what captions say of numbers of experiments, epochs, seeds and shared changes."""
     done = cells[cells["seeds"] > 0]
     if done.empty:
         return "All runs failed."
     counts = [listed(done[name]) for name in ("num_train", "num_test", "seeds")]
     epochs = f" {listed(done['epochs'])} epochs;" if done["epochs"].notna().any() else ""
-    return f"{counts[0]} training and {counts[1]} test experiments;{epochs} training seeds: {counts[2]}."
+    shared = {key: value for key, value in done["shared"].iloc[0].items() if not key.endswith("max_epochs")}
+    alike = f" All trainings: {', '.join(f'{key}={value}' for key, value in shared.items())}." if shared else ""
+    return f"{counts[0]} training and {counts[1]} test experiments;{epochs} training seeds: {counts[2]}.{alike}"
 
 
 def listed(counts: "pd.Series[float]") -> str:
@@ -197,11 +217,11 @@ def measured_cell(
 ) -> Cell:
     """Return the cell of a line of `method_cells`; if `first`, it says that only the first test experiments count."""
     failed = f"({line['failed']} failed)" if line["failed"] else ""
-    if not line["seeds"] or pd.isna(line.get(metric)):
+    if not line["seeds"] or pd.isna(line.get(f"metrics.{metric}")):
         return Cell("failed" if line["failed"] else MISSING)
     note = failed or (f"(first {line['num_test']:.0f})" if first else "")
     value, sd, low, high = (
-        number(scale * line.get(f"{metric}{end}", np.nan), digits) for end in ("", "_sd", "_low", "_high")
+        number(scale * line.get(f"{part}.{metric}", np.nan), digits) for part in ("metrics", "sd", "low", "high")
     )
     varies = line["seeds"] > 1 and float(sd) > 0  # copy baselines have no random seed
     return Cell(value, f"± {sd}" if varies else "", "" if low == "nan" else f"[{low}, {high}]", note)
@@ -212,7 +232,9 @@ def _best(cells: pd.DataFrame, metric: str, *, lower_is_better: bool) -> set[Any
     best = set()
     for _, column in cells[cells["seeds"] > 0].groupby("column"):
         largest = [column[name] == column[name].max() for name in ("num_train", "num_test")]
-        values = column.loc[column["competes"] & column["is_selected"] & largest[0] & largest[1], metric].dropna()
+        values = column.loc[
+            column["competes"] & column["is_selected"] & largest[0] & largest[1], f"metrics.{metric}"
+        ].dropna()
         if len(values) > 1:
             best.add(values.idxmin() if lower_is_better else values.idxmax())
     return best

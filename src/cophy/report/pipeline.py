@@ -170,15 +170,18 @@ class Report:
             "document.tex": render.LATEX_DOCUMENT,
             "runs.csv": self._as_csv(self.runs),
             "methods.csv": self._as_csv(self.cells),
-            **{f"{filled.table.id}.csv": filled.values.to_csv(index=False) for filled in self.filled},
+            **{
+                f"{filled.table.id}.csv": filled.lines(whole=bool(self.view.paper)).to_csv(index=False)
+                for filled in self.filled
+            },
         }
 
     @staticmethod
     def _as_csv(lines: pd.DataFrame) -> str:
         """Return lines as CSV, with changed keys as text: model.hidden_dim=8 training.learning_rate=0.001."""
-        if "changes" in lines:
-            texts = [" ".join(f"{key}={value}" for key, value in dict(changes).items()) for changes in lines["changes"]]
-            lines = lines.assign(changes=texts)
+        for name in {"changes", "shared"}.intersection(lines):
+            texts = [" ".join(f"{key}={value}" for key, value in dict(changes).items()) for changes in lines[name]]
+            lines = lines.assign(**{name: texts})
         return lines.to_csv(index=False)
 
     def figures(self) -> Iterator[tuple[str, Figure]]:

@@ -32,8 +32,7 @@ LATEX = {
     **{"Σ": r"$\Sigma$", "Δ": r"$\Delta$", "λ": r"$\lambda$", "<": "$<$", ">": "$>$", "|": "$|$", "≤": r"$\leq$"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "*": "$^*$"},
 }
-LATEX_WIDTH, LATEX_ROWS = 72, 40  # characters of \small in a line of article, and rows on a page
-ROWS_WITH_INTERVALS = 20  # of a LaTeX table; with more, intervals are only in the CSV file
+LATEX_WIDTH, LATEX_LINES = 72, 40  # characters of \small in a line of article, and lines of a table on a page
 LATEX_HEAD = "% Tables of report.py for a paper; in its preamble: \\usepackage{booktabs}\n"
 LATEX_DOCUMENT = r"""% Compiles by itself: pdflatex document.tex
 \documentclass{article}
@@ -44,7 +43,7 @@ LATEX_DOCUMENT = r"""% Compiles by itself: pdflatex document.tex
 \end{document}
 """
 WIDTH_FOR_INTERVALS = 100  # columns of the terminal
-MAX_LABEL, WHOLE_HEADING, GAP = 28, 12, 3  # characters
+MAX_LABEL, MAX_LATEX_LABEL, WHOLE_HEADING, GAP = 28, 44, 12, 3  # characters
 
 
 class Cell(NamedTuple):
@@ -172,33 +171,39 @@ def markdown(table: TextTable) -> str:
 
 def latex(table: TextTable) -> str:
     """Return table environments (of booktabs) of one page each: numbers, below them intervals, below these the paper's."""
-    cells, with_intervals = table.cells, len(table.cells) <= ROWS_WITH_INTERVALS
-    lines = cells.map(lambda cell: _lines(cell._replace(interval=""), interval=False))
+    cells = table.cells
+    lines = cells.map(lambda cell: _lines(cell, interval=False))
     if len(cells.columns) > len(cells) and len(_blocks(lines.T, LATEX_WIDTH)) < len(_blocks(lines, LATEX_WIDTH)):
         cells, lines = cells.T, lines.T
+    widths = {max_label: _blocks(lines, LATEX_WIDTH, max_label) for max_label in (MAX_LATEX_LABEL, MAX_LABEL)}
+    max_label, blocks = min(widths.items(), key=lambda option: len(option[1]))
+    num_lines = len(blocks) * (2 if lines.map(lambda text: "\n" in text).any(axis=None) else 1)  # per row
+    with_intervals = (num_lines + len(blocks)) * len(cells) <= LATEX_LINES
+    rows = max(len(cells) if with_intervals else LATEX_LINES // num_lines, 1)
+    title = table.title.replace("Table", "The paper's Table", 1)
+    title, caption = f"{title[:1].upper()}{title[1:]}", table.caption
+    if not with_intervals and cells.map(lambda cell: bool(cell.interval)).any(axis=None):
+        caption = f"{caption} Intervals are in the CSV file."
     parts = []
-    for start in range(0, len(cells), LATEX_ROWS):
-        page, continued = cells.iloc[start : start + LATEX_ROWS], " (continued)" if start else ""
-        text = f"{table.title[:1].upper()}{table.title[1:]}{continued}. {table.caption if not start else ''}".strip()
-        intervals = "" if with_intervals or start else " Intervals are in the CSV file."
-        label = f"\\label{{tab:{table.id}{start or ''}}}\n"
-        blocks = "\n\\medskip\n\n".join(_tabular(page[block], with_intervals) for block in _blocks(lines, LATEX_WIDTH))
-        parts.append(
-            f"\\begin{{table}}[htbp]\n\\centering\n\\small\n\\caption{{{to_latex(text + intervals)}}}\n{label}{blocks}\\end{{table}}\n"
-        )
+    for start in range(0, len(cells), rows):
+        page = cells.iloc[start : start + rows]
+        text = to_latex(f"{title} (continued)." if start else f"{title}. {caption}".strip())
+        tabulars = "\n\\medskip\n\n".join(_tabular(page[block], with_intervals, max_label) for block in blocks)
+        head = f"\\begin{{table}}[htbp]\n\\centering\n\\small\n\\caption{{{text}}}\n\\label{{tab:{table.id}{start or ''}}}\n"
+        parts.append(f"{head}\\vspace{{4pt}}\n{tabulars}\\end{{table}}\n")
     return "\n".join(parts)
 
 
-def _tabular(cells: pd.DataFrame, with_intervals: bool) -> str:
+def _tabular(cells: pd.DataFrame, with_intervals: bool, max_label: int) -> str:
     """Return a tabular environment; labels and headings that are long have several lines."""
-    is_long = max(len(str(label)) for label in cells.index) > MAX_LABEL
-    labels = r"p{0.36\linewidth}" if is_long else "l"
+    is_long = max(len(str(label)) for label in cells.index) > max_label
+    labels = rf"p{{{max_label / LATEX_WIDTH:.2f}\linewidth}}" if is_long else "l"
     headings = " & ".join([_heading(cells.index.name or ""), *map(_heading, map(str, cells.columns))])
     lines = [rf"\begin{{tabular}}{{{labels}{'r' * len(cells.columns)}}}", r"\toprule", rf"{headings} \\", r"\midrule"]
     for label, row in zip(cells.index, cells.itertuples(index=False), strict=True):
         ours = [to_latex(cell._replace(best=False).text(interval=False)) for cell in row]
         ours = [
-            text.replace(number := to_latex(cell.ours), rf"\textbf{{{number}}}", 1) if cell.best else text
+            text.replace(ours_text := to_latex(cell.ours), rf"\textbf{{{ours_text}}}", 1) if cell.best else text
             for cell, text in zip(row, ours, strict=True)
         ]
         raggedright = r"\raggedright " if is_long else ""
@@ -270,15 +275,15 @@ def _lines(cell: Cell, *, interval: bool) -> str:
     return text if cell.paper in ("", MISSING) else f"{text}\n{cell.paper}"
 
 
-def _blocks(texts: pd.DataFrame, width: int) -> list[list[str]]:
+def _blocks(texts: pd.DataFrame, width: int, max_label: int = MAX_LABEL) -> list[list[str]]:
     """Return the columns that fit next to each other, at least one in each block."""
     blocks: list[list[str]] = [[]]
-    used = _label_width(texts)
+    used = _label_width(texts, max_label)
     for column in map(str, texts.columns):
         column_width = _width(column, texts[column]) + GAP
         if blocks[-1] and used + column_width > width:
             blocks.append([])
-            used = _label_width(texts)
+            used = _label_width(texts, max_label)
         blocks[-1].append(column)
         used += column_width
     return blocks
@@ -298,9 +303,9 @@ def _rich_table(texts: pd.DataFrame, cells: pd.DataFrame, width: int) -> Table:
     return table
 
 
-def _label_width(texts: pd.DataFrame) -> int:
+def _label_width(texts: pd.DataFrame, max_label: int = MAX_LABEL) -> int:
     labels = [str(texts.index.name or ""), *map(str, texts.index)]
-    return max(min(max(map(len, labels)), MAX_LABEL), *_word_lengths(labels))
+    return max(min(max(map(len, labels)), max_label), *_word_lengths(labels))
 
 
 def _width(heading: str, texts: "pd.Series[str]") -> int:

@@ -14,7 +14,7 @@ from rich.console import Console
 from cophy.atomic_files import read_json
 from cophy.errors import CophyError, check_name, printable
 from cophy.report.paper_tables import methods
-from cophy.training.run import FAILURE, LARGEST_NUMBER, METRICS
+from cophy.training.run import FAILURE, LARGEST_NUMBER, METRICS, short_keys
 
 log = logging.getLogger(__name__)
 
@@ -185,7 +185,9 @@ def read_runs(outputs: Path) -> pd.DataFrame:
             continue
         if line.pop("has_begun", True):
             lines.append(line)
-    whole = {key.rpartition(".")[2]: key for line in lines for key in line["changes"] if "." in key}
+    whole = {
+        word: key for key, word in short_keys({key for line in lines for key in line["changes"] if "." in key}).items()
+    }
     for line in lines:
         changes = {whole.get(key, key): value for key, value in line["changes"].items()}
         line["data"] = ", ".join(f"{key}={changes[key]}" for key in changes if key.startswith(DATA_KEYS))

@@ -11,13 +11,13 @@ import yaml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cophy.report.methods import METHOD, TABLE, listed, measured_cell, method_title, natural, table_name
+from cophy.report.methods import METHOD, TABLE, VALIDATION, listed, measured_cell, method_title, natural, table_name
 from cophy.report.render import UNCERTAINTY, TextTable
 from cophy.training.run import short_keys
 
 CONFIG = Path(".hydra") / "config.yaml"  # in the directory of a run
-MEASURES = {"validation_mse": "validation", "mse": "test"}
-STYLES = {"validation_mse": ("#d55e00", "--"), "mse": ("#0072b2", "-")}  # of Okabe and Ito, for the colour-blind
+MEASURES = {VALIDATION: "validation", "mse": "test"}
+STYLES = {VALIDATION: ("#d55e00", "--"), "mse": ("#0072b2", "-")}  # of Okabe and Ito, for the colour-blind
 DECADE = 10  # a key whose values span it has a logarithmic axis
 PANEL_IN = (3.6, 3.0)  # width and height, inches
 UNCHANGED = "default"  # in place of a value that the configuration does not tell
@@ -42,7 +42,7 @@ class Sweep:
     @property
     def best(self) -> Any:
         """The index of the setting with the lowest validation MSE; None where fewer than two were validated."""
-        validated = self.settings.get("validation_mse", pd.Series()).dropna()
+        validated = self.settings[f"metrics.{VALIDATION}"].dropna()
         return validated.idxmin() if len(validated) > 1 else None
 
 
@@ -112,7 +112,7 @@ def sweep_table(sweep: Sweep) -> TextTable:
 
 
 def draw_sweep(sweep: Sweep) -> Figure | None:
-    """Draw MSE over each numeric key: all settings as points, a line where the other keys are as in the best setting.
+    """Draw MSE over each numeric key: all settings as points, a line where the other keys are fixed, at the best by validation.
 
     Returns:
         None where no key is numeric.
@@ -124,41 +124,52 @@ def draw_sweep(sweep: Sweep) -> Figure | None:
     width, height = PANEL_IN
     figure = Figure(figsize=(width * len(numeric) + 0.4, height), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(1, len(numeric), sharey=True, squeeze=False)[0]
-    best = done.loc[sweep.best if sweep.best is not None else done["mse"].index[0]]
     for axis, (key, values) in zip(panels, numeric.items(), strict=True):
-        others = [other for other in sweep.keys if other != key]
-        is_slice = (done[others] == best[others]).all(axis=1) if others else pd.Series(True, index=done.index)
+        is_slice = _best_slice(done.assign(at=values).dropna(subset="at"), [name for name in sweep.keys if name != key])
         for metric in MEASURES:
-            if metric in done:
-                _draw_measure(axis, metric, done, values, is_slice & values.notna())
+            if done[f"metrics.{metric}"].notna().any():
+                _draw_measure(axis, metric, done, values, is_slice)
         known = values.dropna()
         if known.min() > 0 and known.max() >= DECADE * known.min():
             axis.set_xscale("log")
         axis.set_xlabel(short_keys(sweep.keys)[key])
         axis.grid(alpha=0.2)
     panels[0].set_ylabel("MSE (m²)")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize="small")
+    handles = {
+        label: handle for axis in panels for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        handles.values(), handles.keys(), loc="outside lower center", ncols=2, frameon=False, fontsize="small"
+    )
     figure.suptitle(sweep.title, fontsize="small", wrap=True)
     return figure
 
 
+def _best_slice(settings: pd.DataFrame, others: list[str]) -> "pd.Index[Any]":
+    """Return the index of the settings that agree in all other keys and have the best MSE of validation, at two values or more."""
+    slices = [of_slice for _, of_slice in settings.groupby(others)] if others else [settings]
+    metric = f"metrics.{VALIDATION if settings[f'metrics.{VALIDATION}'].notna().any() else 'mse'}"
+    lines = [of_slice for of_slice in slices if of_slice["at"].nunique() > 1]
+    return min(lines, key=lambda of_slice: float(of_slice[metric].min()), default=settings.iloc[:0]).index
+
+
 def _draw_measure(
-    axis: Axes, metric: str, done: pd.DataFrame, values: "pd.Series[float]", is_slice: "pd.Series[bool]"
+    axis: Axes, metric: str, done: pd.DataFrame, values: "pd.Series[float]", is_slice: "pd.Index[Any]"
 ) -> None:
     color, style = STYLES[metric]
-    axis.plot(values, done[metric], "o", color=color, ms=3, alpha=0.4)
-    line = done[is_slice].assign(at=values[is_slice]).sort_values("at")
+    mean, sd = f"metrics.{metric}", f"sd.{metric}"
+    axis.plot(values, done[mean], "o", color=color, ms=3, alpha=0.4)
+    line = done.loc[is_slice].assign(at=values[is_slice]).sort_values("at")
     if len(line) < 2:
         return
-    low, high = line[metric] - line[f"{metric}_sd"], line[metric] + line[f"{metric}_sd"]
+    low, high = line[mean] - line[sd], line[mean] + line[sd]
     band = "± sd over seeds"
-    if low.isna().all() and f"{metric}_low" in line:
-        low, high, band = line[f"{metric}_low"], line[f"{metric}_high"], "95 % interval"
+    if low.isna().all() and f"low.{metric}" in line:
+        low, high, band = line[f"low.{metric}"], line[f"high.{metric}"], "95 % interval"
     has_band = low.notna().any()
     axis.plot(
         line["at"],
-        line[metric],
+        line[mean],
         style,
         marker="o",
         ms=4,

@@ -146,6 +146,10 @@ class FilledTable:
         """Whether any of its cells was run here, successfully or not."""
         return bool(self.values[["seeds", "failed"]].to_numpy().any())
 
+    def lines(self, *, whole: bool) -> pd.DataFrame:
+        """Return the lines of `values`; unless `whole`, only those of cells that were run."""
+        return self.values if whole else self.values[self.values[["seeds", "failed"]].any(axis=1)]
+
     def shares(self) -> pd.DataFrame:
         """Return the lines of `values` of all methods except the oracles; none where no share is known."""
         oracles = self.table.oracles
