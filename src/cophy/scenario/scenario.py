@@ -285,7 +285,6 @@ def _check_finite(key: str, value: Any) -> None:
     """Raise ValueError that names the first number in a tree of values that is not finite."""
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{key}={value} must be finite")
-    for name, child in (
-        value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    ):
+    children = dict(enumerate(value)) if isinstance(value, list) else value if isinstance(value, dict) else {}
+    for name, child in children.items():
         _check_finite(f"{key}.{name}", child)
