@@ -15,6 +15,7 @@ import shutil
 import signal
 import sys
 import threading
+import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -201,7 +202,13 @@ def is_user_error(error: BaseException) -> bool:
         return True
     if isinstance(error, HydraException | OmegaConfBaseException | CophyError) or str(error).startswith(LOGGING_ERROR):
         return True
-    return _explain_slurm(error) != ""
+    return _is_refused_by_hydra(error) or _explain_slurm(error) != ""
+
+
+def _is_refused_by_hydra(error: BaseException) -> bool:
+    """Return whether Hydra's own code raises ValueError, as for options that do not go together."""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return isinstance(error, ValueError) and bool(frames) and str(frames[-1].f_globals["__name__"]).startswith("hydra.")
 
 
 def explain(error: BaseException) -> str:
@@ -264,7 +271,7 @@ def _explain_file(group: str, name: str, what: str) -> str:
 
 def _suggest_key(name: str, node: Any) -> str:
     """Suggest the nearest key in a node, or below it: for `max_epochs`, `trainer.max_epochs`."""
-    if not OmegaConf.is_dict(node):
+    if not OmegaConf.is_dict(node) or name in node:  # the key is right, its value is not
         return ""
     if (CONF / name).is_dir():
         return f" ({name}= chooses a file of conf/{name}; --help lists the keys)"

@@ -103,7 +103,7 @@ class TrainerConfig:
 
 
 MAX_SEED = 2**32 - 1  # of NumPy's global generator, which Lightning seeds
-MAX_THREADS = 1024
+MAX_THREADS_PER_CORE = 8  # more only wait for each other
 
 # positions= -> the splits in which a predictor sees estimated positions; in the others it sees true ones
 ESTIMATED: dict[str, tuple[str, ...]] = {
@@ -269,7 +269,7 @@ class TrainConfig(RenderDataConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_range("seed", self.seed, 0, MAX_SEED)
-        _check_range("threads", self.threads, 1, MAX_THREADS)
+        _check_range("threads", self.threads, 1, MAX_THREADS_PER_CORE * (os.cpu_count() or 1))
         _check_range("figures_every_n_epochs", self.figures_every_n_epochs, 1)
         _check_range("num_images", self.num_images, 10)
         for group in ("logger", "metrics"):

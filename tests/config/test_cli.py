@@ -58,6 +58,12 @@ def test_an_impossible_folder_is_refused_before_anything_is_generated(
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.parametrize(("option", "message"), [("--resolve", "--cfg"), ("hydra.searchpath=[x://y]", "schema x")])
+def test_what_hydra_refuses_is_one_line(option: str, message: str) -> None:
+    (line,) = run("report", option, code=1).strip().splitlines()
+    assert message in line
+
+
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS])
 @pytest.mark.parametrize("file", [None, "outputs/x"])
 def test_an_error_of_a_disk_is_one_line_with_its_meaning(number: int, file: str | None) -> None:

@@ -232,17 +232,22 @@ MISTAKES = {
     "scenario.clock.num_frames=100000000": "states in a sequence are more than 10,000",
     "scenario.clock.state_rate_hz=35": "scenario.solver.step_rate_hz=960 must be a multiple of scenario.clock.state_rate_hz=35",
     "scenario.gravity_z=1e30": "scenario.gravity_z=1e+30 must be negative",
+    "scenario=collision scenario.speed=nan": "scenario.speed=nan must be finite",
+    "scenario=balls scenario.displacement=[nan,1]": "scenario.displacement.0=nan must be finite",
+    "scenario.confounders.gravity_x=[inf]": "scenario.confounders.gravity_x.0=inf must be finite",
     "scenario.gravity_z=9.81": "scenario.gravity_z=9.81 must be negative",
     "scenario.confounders.mass=[1e30]": "mass must be > 0 and at most 1e+06 kg",
     "scenario.task.metric_dims=0": "scenario.task.metric_dims=0 must be 1, 2 or 3",
     "size.num_experiments.blocktower.3=9223372036854775806": "9223372036854775806 experiments are more than 10,000,000",
     "logger=[] +logger._target_=x": "logger._target_ is no block with a _target_: its YAML starts with the line",
+    "threads=99999": "threads=99999 must be from 1 to ",
+    "model.gru_layers=10000": "model.gru_layers=10000 must be at most 100",
 }
 
 
 # found only when a run starts, because constructors and Lightning refuse them
 IN_A_RUN = re.compile(
-    r".*(_target_|ckpt|predictor|logger|width=1|derenderer loss|hidden_dim=0|npe model|interaction=mlp|max_epoch=3 |trainer.max_epoch=|schedule"
+    r".*(_target_|ckpt|predictor|logger|width=1|derenderer loss|hidden_dim=0|gru_layers|npe model|interaction=mlp|max_epoch=3 |trainer.max_epoch=|schedule"
     r"|supervised|hydra\.|.*~trainer|accumulate|split=3to4|friction|positions=.* model)"
 )
 COMPOSED = [mistake for mistake in MISTAKES if not IN_A_RUN.match(mistake)]
@@ -260,6 +265,12 @@ def test_a_mistake_ends_composing_with_one_line(mistake: str) -> None:
     assert MISTAKES[mistake] in message
     assert "\n" not in message
     assert len(message) < 500
+
+
+def test_a_wrong_value_of_a_right_key_gets_no_suggestion() -> None:
+    with pytest.raises(Exception) as caught:  # noqa: PT011 (of Hydra)
+        settings("train", "scenario=collision", "seed=abc")
+    assert explain(caught.value) == "seed: Value 'abc' of type 'str' could not be converted to Integer"
 
 
 @pytest.mark.parametrize(

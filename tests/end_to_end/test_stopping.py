@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from cophy.errors import CophyError
+from cophy.oracles.run import Oracle
 from cophy.training import PredictionModule
 from tests.commands import ON_TWO, train
 from tests.conftest import ROOT
@@ -61,6 +63,17 @@ def test_a_killed_training_continues_to_the_result_it_would_have_had(
     whole, resumed = result(tmp_path / "whole"), result(tmp_path / "part")
     assert (whole["resumed"], resumed["resumed"]) == (0, 1)
     assert {key: whole[key] for key in whole.keys() - TIMES} == {key: resumed[key] for key in resumed.keys() - TIMES}
+
+
+def test_sigterm_ends_the_simulation_of_an_oracle_at_once(
+    tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read_handler(*_: object) -> None:
+        raise CophyError(f"handler {signal.getsignal(signal.SIGTERM)!r}")
+
+    monkeypatch.setattr(Oracle, "forecast", read_handler)
+    keys = ("scenario=collision", "model=oracle_feedforward", f"hydra.run.dir={tmp_path}")
+    assert f"handler {signal.SIG_DFL!r}" in train(*keys, data=tiny_data, code=1)
 
 
 @pytest.mark.slow

@@ -1,4 +1,6 @@
-"""Schedules of the learning rate."""
+"""Schedules of the learning rate, and optimisers that fail."""
+
+from pathlib import Path
 
 import pytest
 from torch import nn
@@ -6,6 +8,7 @@ from torch.optim import SGD
 from torch.optim.lr_scheduler import LambdaLR
 
 from cophy.training.optimisation import cosine_to_zero
+from tests.commands import train
 
 
 def rates(optimizer: SGD, schedule: LambdaLR, epochs: int) -> list[float]:
@@ -31,3 +34,10 @@ def test_a_longer_training_continues_at_its_own_rates() -> None:
     optimizer.load_state_dict(shorter[0].state_dict())  # in Lightning's order
     schedule.load_state_dict(shorter[1].state_dict())
     assert rates(optimizer, schedule, 4) == pytest.approx(expected[4:], abs=1e-12)
+
+
+def test_gradients_too_large_for_soap_are_an_error_of_the_user(tiny_data: Path, tmp_path: Path) -> None:
+    keys = ("scenario=collision", "model=in", "training.position_noise=1e300", f"hydra.run.dir={tmp_path}")
+    printed = train(*keys, data=tiny_data, code=1)
+    assert "training: gradients are too large for the optimizer, lower learning_rate" in printed.splitlines()[-1]
+    assert "Traceback" not in printed

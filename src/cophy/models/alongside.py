@@ -32,6 +32,7 @@ from cophy.models.layers import (
     Graph,
     PairwiseMLP,
     check_at_least,
+    check_layers,
     check_positive,
     mean_graph,
     mlp,
@@ -286,7 +287,7 @@ class Alongside(nn.Module):
         """
         super().__init__()
         check_at_least(1, hidden_dim=hidden_dim)
-        check_at_least(2, edge_layers=edge_layers)
+        check_layers(2, edge_layers=edge_layers)
         check_positive(temperature=temperature, arena_half_width=arena_half_width, max_step=max_step)
         self.temperature, self.max_step, self.replay = temperature, max_step, replay
         self.ego = EgoFeatures(arena_half_width, Appearance(object_type, pose))

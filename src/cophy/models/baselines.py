@@ -14,6 +14,7 @@ from cophy.models.layers import (
     Appearance,
     PairwiseMLP,
     check_at_least,
+    check_layers,
     check_positive,
     mlp,
     pack,
@@ -240,8 +241,9 @@ class InteractionNetwork(nn.Module):
             CophyError: An argument is out of its range.
         """
         super().__init__()
-        check_at_least(1, hidden_dim=hidden_dim, node_layers=node_layers)
-        check_at_least(2, edge_layers=edge_layers)
+        check_at_least(1, hidden_dim=hidden_dim)
+        check_layers(1, node_layers=node_layers)
+        check_layers(2, edge_layers=edge_layers)
         check_positive(radius=radius)
         self.radius, self.num_confounders = radius, 0
         if confounders is not None:

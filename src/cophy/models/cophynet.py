@@ -30,6 +30,7 @@ from cophy.models.layers import (
     GraphConvolution,
     SlotMLP,
     check_at_least,
+    check_layers,
     check_positive,
     mean_graph,
     pack,
@@ -273,8 +274,9 @@ class CoPhyNet(nn.Module):
             CophyError: An argument is out of its range, or missing.
         """
         super().__init__()
-        check_at_least(1, hidden_dim=hidden_dim, gru_layers=gru_layers)
-        check_at_least(2, edge_layers=edge_layers, node_layers=node_layers)
+        check_at_least(1, hidden_dim=hidden_dim)
+        check_layers(1, gru_layers=gru_layers)
+        check_layers(2, edge_layers=edge_layers, node_layers=node_layers)
         check_positive(temperature=temperature)
         self.source = parse_option(ConfounderSource, "confounders", confounders)
         self.interaction = parse_option(Interaction, "interaction", interaction)

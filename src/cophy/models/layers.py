@@ -15,6 +15,8 @@ from torch import Tensor, nn
 from cophy.errors import CophyError
 from cophy.types import OBJECT_TYPES, POSE, SLOT_AXIS, Inputs, Prediction
 
+MAX_LAYERS = 100  # ours: nothing so deep trains without shortcuts between layers
+
 Option = TypeVar("Option", bound=Enum)
 
 
@@ -23,6 +25,14 @@ def check_at_least(minimum: int, **arguments: int) -> None:
     for name, value in arguments.items():
         if value < minimum:
             raise CophyError(f"model.{name}={value} must be at least {minimum}")
+
+
+def check_layers(minimum: int, **arguments: int) -> None:
+    """Raise a CophyError that names the first number of layers below the minimum or above MAX_LAYERS."""
+    check_at_least(minimum, **arguments)
+    for name, value in arguments.items():
+        if value > MAX_LAYERS:
+            raise CophyError(f"model.{name}={value} must be at most {MAX_LAYERS}")
 
 
 def check_positive(**arguments: float | None) -> None:

@@ -3,7 +3,8 @@
 import math
 import re
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,7 @@ class Scenario(ABC):
 
     def __post_init__(self) -> None:
         check_name("scenario.name", self.name)
+        _check_finite("scenario", asdict(self))
         if self.farthest_m is not None and self.min_difference > self.farthest_m:
             raise ValueError(
                 f"scenario.min_difference={self.min_difference:g} m must be at most {self.farthest_m:.3g} m: "
@@ -282,3 +284,12 @@ def square_symmetries() -> np.ndarray:
     """Return the (8, 2, 2) rotations and reflections of a square."""
     rotations = [np.linalg.matrix_power(QUARTER_TURN, n) for n in range(4)]
     return np.stack([*rotations, *(rotation @ MIRROR_Y for rotation in rotations)])
+
+
+def _check_finite(key: str, value: Any) -> None:
+    """Raise ValueError that names the first number in a tree of values that is not finite."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{key}={value} must be finite")
+    children = dict(enumerate(value)) if isinstance(value, list) else value if isinstance(value, dict) else {}
+    for name, child in children.items():
+        _check_finite(f"{key}.{name}", child)

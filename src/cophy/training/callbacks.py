@@ -70,11 +70,11 @@ class NetworkSize(ModelSummary):
 
 
 class StopTogether(L.Callback):
-    """On SIGTERM, ends training on several devices in all processes after the same batch.
+    """On SIGTERM, ends training on several devices in all processes after the same batch, and a test at once.
 
     Lightning's own handler synchronises the processes wherever the signal arrives, perhaps inside another synchronisation.
-    On one device Lightning's handler stays. On a cluster, submitit's stays: it ignores SIGTERM and waits for the signal that
-    requeues the job.
+    On one device Lightning's handler stays in training, but not in tests: it waits for the end of the batch, in which oracles
+    simulate for hours. On a cluster, submitit's stays: it ignores SIGTERM and waits for the signal that requeues the job.
     """
 
     def __init__(self) -> None:
@@ -86,6 +86,9 @@ class StopTogether(L.Callback):
             signal.signal(signal.SIGTERM, self.submitit_handler)
         elif trainer.world_size > 1:
             signal.signal(signal.SIGTERM, lambda signum, frame: setattr(self, "received", True))
+
+    def on_test_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        signal.signal(signal.SIGTERM, self.submitit_handler or signal.SIG_DFL)  # Lightning restores handlers at the end
 
     def on_train_batch_start(
         self, trainer: L.Trainer, pl_module: L.LightningModule, batch: Any, batch_idx: int

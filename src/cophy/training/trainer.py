@@ -121,7 +121,7 @@ def fit(
     """Train, and return training_seconds and the validation metrics of the best epoch.
 
     Raises:
-        CophyError: Lightning refuses a combination of arguments, or the checkpoint does not fit.
+        CophyError: Lightning refuses a combination of arguments, the checkpoint does not fit, or the training diverges.
         SystemExit: The process was asked to end (SIGTERM).
     """
     try:
@@ -129,6 +129,10 @@ def fit(
             trainer.fit(module, data, ckpt_path=ckpt, weights_only=True)
     except MisconfigurationException as error:
         raise CophyError(f"trainer: {error}") from error
+    except torch.linalg.LinAlgError as error:  # SOAP's
+        raise CophyError(
+            f"training: gradients are too large for the optimizer, lower learning_rate ({error})"
+        ) from error
     except SIGTERMException as error:
         # exit code of a process that SIGTERM ended; on several devices, Lightning kills the first if another one fails
         raise SystemExit(128 + signal.SIGTERM if is_rank_zero() else 0) from error
