@@ -9,6 +9,7 @@ in one line, which is printed for the first experiment that has one.
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +108,7 @@ def faults(own: Experiments, others: list[Experiments], rng: np.random.Generator
 
     return {
         "right images": own.images,
-        **{f"images of {other.scenario.name}": lambda row, other=other: of(other, row) for other in others},
+        **{f"images of {other.scenario.name}": partial(of, other) for other in others},
         "noise of 60 of 255": lambda row: noisy(row, 60),
         "an object is missing in AB": lambda row: own.images(row, hide="AB"),
         "an object is missing in C": lambda row: own.images(row, hide="C"),

@@ -87,7 +87,8 @@ def row_name(model: str, ablation: str) -> str:
 
 def row_title(row: str) -> str:
     """Return the printed name of a row."""
-    return method_title(*row.split(" ", 1))
+    model, _, ablation = row.partition(" ")
+    return method_title(model, ablation or "full")
 
 
 def sort_rows(rows: Iterable[str]) -> list[str]:

@@ -56,7 +56,7 @@ def method_cells(runs: pd.DataFrame) -> pd.DataFrame:
         `sd.<name>`, and means of the ends of intervals `low.<name>`, `high.<name>`; competes, whether it sees what the paper's
         model sees; is_selected, whether it is the best by validation of its method's settings.
     """
-    lines, cell_of = [], dict[Any, int]()
+    lines, cell_of = list[dict[str, Any]](), dict[Any, int]()
     for _, of_table in runs.groupby(TABLE):
         shared = shared_changes(of_table)
         for (column, *_), of_cell in of_table.groupby([np.array(_columns(of_table)), *METHOD]):
@@ -160,7 +160,8 @@ def method_tables(cells: pd.DataFrame) -> Iterator[TextTable]:
     for keys, of_table in cells.groupby(TABLE):
         for metric in MEASURES:
             column = f"metrics.{metric}"
-            known = of_table if metric == "mse" else of_table[of_table[column].notna()] if column in of_table else ()
+            known = of_table[of_table[column].notna()] if column in of_table else of_table.iloc[:0]
+            known = of_table if metric == "mse" else known  # failed runs are shown there
             if len(known):
                 yield _table(known, metric, "-".join(filter(None, map(str, keys))))
 

@@ -57,7 +57,8 @@ def read_line(path: Path) -> dict[str, Any]:
     """
     try:
         content = read_json(path)
-        line = _names(content, path.parent) | {"seed": _count(content, "seed"), "directory": path.parent}
+        line: dict[str, Any] = {**_names(content, path.parent)}
+        line |= {"seed": _count(content, "seed"), "directory": path.parent}
         if f"seed{line['seed']}{line['variant']}" != path.parent.name:
             raise ValueError("seed and variant are not those of its folder")
         line["changes"] = _changes(content, line["variant"])
@@ -133,8 +134,9 @@ def _results(content: dict[str, Any]) -> dict[str, Any]:
 def _validation_mse(content: dict[str, Any]) -> float:
     """Return the validation MSE of the tested weights; NaN where nothing was validated."""
     validation = content.get("validation")
-    known = isinstance(validation, dict) and "val/mse" in validation
-    return _number(validation, "val/mse") if known else np.nan
+    if isinstance(validation, dict) and "val/mse" in validation:
+        return _number(validation, "val/mse")
+    return np.nan
 
 
 def _name(content: dict[str, Any], key: str) -> str:

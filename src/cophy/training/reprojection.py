@@ -1,6 +1,6 @@
 """Comparison of what a de-renderer finds with the colours in its images, and refusal of images that it does not see."""
 
-from collections.abc import Sequence
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -122,7 +122,7 @@ def check_seen(name: str, evidence: Evidence, scenario: Scenario) -> None:
 
 
 def check_intervention(
-    observed: Evidence, initial: Evidence, moved_m: np.ndarray, scenario: Scenario, num_objects: Sequence[int]
+    observed: Evidence, initial: Evidence, moved_m: np.ndarray, scenario: Scenario, num_objects: Collection[int]
 ) -> None:
     """Refuse sequences with another number of objects than trained on, and a C that is no single do-operation on A.
 
