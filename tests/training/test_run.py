@@ -15,7 +15,15 @@ from omegaconf import OmegaConf
 from cophy.cli import explain
 from cophy.errors import CophyError
 from cophy.training.predictor import prediction_arrays
-from cophy.training.run import Results, Run, differences, plain_value, read_predictions, write_predictions
+from cophy.training.run import (
+    TESTED_CHECKPOINT,
+    Results,
+    Run,
+    differences,
+    plain_value,
+    read_predictions,
+    write_predictions,
+)
 from cophy.types import Batch, Prediction
 from tests.report.stored_runs import leave
 
@@ -78,10 +86,10 @@ def test_results_of_another_run_are_not_replaced(run: Run) -> None:
 
 def test_results_of_a_training_are_not_replaced_by_those_of_a_checkpoint(run: Run) -> None:
     finish(run)
-    with pytest.raises(CophyError, match="belongs to a training"), run.locked(tests_checkpoint=True):
+    with pytest.raises(CophyError, match="belongs to a training"), run.locked(tests=TESTED_CHECKPOINT):
         raise AssertionError("replaced")
     finish(run, predictor="0123abcd")
-    with run.locked(tests_checkpoint=True):
+    with run.locked(tests=TESTED_CHECKPOINT):
         pass
 
 
