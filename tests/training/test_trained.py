@@ -87,7 +87,7 @@ def test_a_model_of_the_user_is_loaded_if_its_class_is_named(tmp_path: Path) -> 
     assert (type(network), network.scale.item(), network.seed, network.training) == (Scaled, 3.0, 10**6, False)
     for change, weights in (({"sed": 1}, {"scale": torch.ones(())}), ({}, {"scale": torch.ones(2)})):
         with pytest.raises(CophyError, match=MISFIT):
-            TrainedPredictor(saved(tmp_path / "b.ckpt", model | change, weights), SCENARIOS, Scaled)
+            TrainedPredictor(saved(path, model | change, weights), SCENARIOS, Scaled)
 
 
 @pytest.mark.parametrize(("changes", "message"), NONSENSE)
@@ -229,6 +229,6 @@ def test_an_attribute_error_in_forward_keeps_its_traceback(tmp_path: Path, monke
 def test_both_checkpoints_need_the_same_colours(tmp_path: Path) -> None:
     scenario = to_plain(composed("train", "scenario=balls"))["scenario"]
     check_pair(make_derenderer(tmp_path), make_predictor(tmp_path))
-    fewer = scenario | {"colors": dict(list(scenario["colors"].items())[:4])}
+    fewer = scenario | {"colors": dict(list(scenario["colors"].items())[:4]), "num_objects": [2, 3, 4]}
     with pytest.raises(CophyError, match=r"derenderer\.ckpt was trained on .*, predictor=.*predictor\.ckpt on "):
         check_pair(make_derenderer(tmp_path), make_predictor(tmp_path, scenario=fewer))
