@@ -146,11 +146,11 @@ def test_look_without_a_scenario_asks_for_it(tmp_path: Path) -> None:
 
 def test_an_export_names_the_command_that_makes_its_data(tmp_path: Path, tiny_data: Path) -> None:
     words = ("scenario=collision", "size=tiny", f"root={tmp_path / 'tree'}")
-    for keys, command in ((("clips=false",), "data_seed=0"), ((), "'render.modalities=[rgb,segmentation]'")):
+    for keys, command in ((("images=false",), "data_seed=0"), ((), "'render.modalities=[rgb,segmentation]'")):
         printed = run("export", *words, *keys, f"data_dir={tmp_path / 'data'}", code=1)
         (line,) = printed.strip().splitlines()
         assert "is not finished: run `python src/generate.py scenario=collision size=tiny" in line
         assert command in line
     assert not (tmp_path / "data").exists()
-    run("export", *words, "clips=false", f"data_dir={tiny_data}")
+    run("export", *words, "images=false", f"data_dir={tiny_data}")
     assert (tmp_path / "tree" / "collisionCF").is_dir()

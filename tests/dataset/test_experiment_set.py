@@ -18,7 +18,7 @@ def test_models_need_ab_and_c() -> None:
     assert inputs[:, 1, 0].all()
     np.testing.assert_array_equal(tested[[0, 3]], inputs[[0, 3]])
     assert not tested[[1, 2]].any()
-    assert list(FRAMES) == ["all", "inputs", "test_inputs"]
+    assert list(FRAMES) == ["all", "inputs", "test", "test_inputs"]
 
 
 def test_single_frames_are_needed_wherever_a_shard_begins() -> None:

@@ -146,7 +146,8 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
             # also draws the validation figures of a training that is not repeated
             with restoring(trainer, tested):
                 validation = trainer.validate(module, data, ckpt_path=tested, weights_only=True, verbose=False)
-            facts["validation"] = dict(validation[0]) | facts["validation"]  # metrics that are new are added
+            for values in validation:  # none without validation batches
+                facts["validation"] = dict(values) | facts["validation"]  # metrics that are new are added
         with restoring(trainer, tested):
             trainer.test(module, data, ckpt_path=tested, weights_only=True, verbose=False)
 
