@@ -11,7 +11,7 @@ from cophy.cli import read_meanings
 from tests import commands
 from tests.conftest import ROOT
 
-MAX_LINES, WIDTH = 46, 100
+MAX_LINES, WIDTH = 48, 100
 NAMED = {  # keys and choices that users look for
     "train": ("scenario=blocktower", "split=", "model=cophynet", "ablation=full", "seed=0", "ckpt=null", "+table=",
               "trainer.max_epochs=40", "sphere_to_cylinder", "gt_confounders", "hydra/launcher="),

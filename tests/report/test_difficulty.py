@@ -133,4 +133,4 @@ def test_page_and_figures_say_what_they_show(arrays: dict[str, np.ndarray], tmp_
     ((name, figure),) = draw(found, {"blocktower": SPEC.scenario})
     assert name == "difficulty-blocktower-3to3-tiny"
     titles = [axis.get_title() for axis in figure.axes if axis.axison]
-    assert titles == ["cell: outcome of AB, of CD", *list(TITLES.values())[2:]]
+    assert [title.replace("\n", " ") for title in titles] == ["cell: outcome of AB, of CD", *list(TITLES.values())[2:]]
