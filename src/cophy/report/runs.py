@@ -61,7 +61,7 @@ def read_line(path: Path) -> dict[str, Any]:
         line |= {"seed": _count(content, "seed"), "directory": path.parent}
         if f"seed{line['seed']}{line['variant']}" != path.parent.name:
             raise ValueError("seed and variant are not those of its folder")
-        line["changes"] = _changes(content, line["variant"])
+        line["changes"] = _changes(content, str(line["variant"]))
         return line | (_failure(content) if path.name == FAILURE else _results(content))
     except ValueError as error:
         raise CophyError(f"{path.name} was not written by train.py: {error}") from error
@@ -134,9 +134,15 @@ def _results(content: dict[str, Any]) -> dict[str, Any]:
 def _validation_mse(content: dict[str, Any]) -> float:
     """Return the validation MSE of the tested weights; NaN where nothing was validated."""
     validation = content.get("validation")
+<<<<<<< ours
     if isinstance(validation, dict) and "val/mse" in validation:
         return _number(validation, "val/mse")
     return np.nan
+=======
+    if not isinstance(validation, dict) or "val/mse" not in validation:
+        return np.nan
+    return _number(validation, "val/mse")
+>>>>>>> theirs
 
 
 def _name(content: dict[str, Any], key: str) -> str:
