@@ -160,15 +160,10 @@ def method_tables(cells: pd.DataFrame) -> Iterator[TextTable]:
     for keys, of_table in cells.groupby(TABLE):
         for metric in MEASURES:
             column = f"metrics.{metric}"
-<<<<<<< ours
-            known = of_table[of_table[column].notna()] if column in of_table else of_table.iloc[:0]
-            known = of_table if metric == "mse" else known  # failed runs are shown there
-=======
             if metric == "mse":
                 known = of_table
             else:
                 known = of_table[of_table[column].notna()] if column in of_table else of_table.iloc[:0]
->>>>>>> theirs
             if len(known):
                 yield _table(known, metric, "-".join(filter(None, map(str, keys))))
 

@@ -134,15 +134,9 @@ def _results(content: dict[str, Any]) -> dict[str, Any]:
 def _validation_mse(content: dict[str, Any]) -> float:
     """Return the validation MSE of the tested weights; NaN where nothing was validated."""
     validation = content.get("validation")
-<<<<<<< ours
-    if isinstance(validation, dict) and "val/mse" in validation:
-        return _number(validation, "val/mse")
-    return np.nan
-=======
     if not isinstance(validation, dict) or "val/mse" not in validation:
         return np.nan
     return _number(validation, "val/mse")
->>>>>>> theirs
 
 
 def _name(content: dict[str, Any], key: str) -> str:
