@@ -54,7 +54,7 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path, monk
         "size=tiny",
         f"data_dir={tiny_data}",
         "num_shown=1",
-        "render.resolution=32",
+        "render.resolution=112",
         f"directory={look}",
     )
     assert {path.name for path in look.iterdir()} == {

@@ -202,7 +202,7 @@ def _of_largest_size(runs: pd.DataFrame, table: PaperTable) -> tuple[pd.DataFram
     finished = candidates[candidates["error"].isna()].sort_values("num_train")
     largest = finished.groupby("scenario")["size"].last().to_dict()
     is_largest = [largest.get(name, size) == size for name, size in zip(runs["scenario"], runs["size"], strict=True)]
-    remaining = runs[is_largest]
+    remaining = runs[np.array(is_largest, dtype=bool)]
     if not (others := sorted(set(candidates["size"]) - set(remaining["size"]))):
         return remaining, ""
     return remaining, f"A table is of one size; runs of another are left out: {', '.join(others)}."
