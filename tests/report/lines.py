@@ -14,7 +14,7 @@ def run(model: str, ablation: str = "full", seed: int = 0, **changes: Any) -> di
         "seed": seed, "size": "small", "num_train": 2800, "num_test": 400, "training_seconds": 100.0,
         "wall_seconds": 110.0, "epochs": 40, "error": None, "directory": Path("runs"),
         "is_trained": True, "predictor": None, "variant": "", "changes": (), "data": "", "dataset_ids": ["3-x"],
-        "validation_mse": np.nan,
+        "validation_mse": np.nan, "inputs": [],
     }  # fmt: skip
     return line | changes
 

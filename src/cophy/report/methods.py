@@ -5,6 +5,7 @@ A cell shows the runs that differ in their seed alone. Runs on different data ne
 
 import re
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ def method_cells(runs: pd.DataFrame) -> pd.DataFrame:
         `sd.<name>`, and means of the ends of intervals `low.<name>`, `high.<name>`; competes, whether it sees what the paper's
         model sees; is_selected, whether it is the best by validation of its method's settings.
     """
-    lines, cell_of = [], dict[Any, int]()
+    lines, cell_of = list[dict[str, Any]](), dict[Any, int]()
     for _, of_table in runs.groupby(TABLE):
         shared = shared_changes(of_table)
         for (column, *_), of_cell in of_table.groupby([np.array(_columns(of_table)), *METHOD]):
@@ -124,8 +125,7 @@ def _line(runs: pd.DataFrame, seeds: pd.DataFrame, shared: dict[str, str]) -> di
     line |= {"num_train": seeds["num_train"].max(), "num_test": seeds["num_test"].min()}
     line["training_seconds"] = seeds["training_seconds"].mean()
     line["epochs"] = seeds["epochs"].max() if seeds["is_trained"].any() else np.nan
-    inputs = seeds["inputs"].iloc[0] if "inputs" in seeds else []
-    line["competes"] = _competes(first["model"], first["ablation"], changes, inputs)
+    line["competes"] = _competes(first["model"], first["ablation"], changes, seeds["inputs"].iloc[0])
     return line
 
 
@@ -160,7 +160,10 @@ def method_tables(cells: pd.DataFrame) -> Iterator[TextTable]:
     for keys, of_table in cells.groupby(TABLE):
         for metric in MEASURES:
             column = f"metrics.{metric}"
-            known = of_table if metric == "mse" else of_table[of_table[column].notna()] if column in of_table else ()
+            if metric == "mse":
+                known = of_table
+            else:
+                known = of_table[of_table[column].notna()] if column in of_table else of_table.iloc[:0]
             if len(known):
                 yield _table(known, metric, "-".join(filter(None, map(str, keys))))
 
@@ -170,12 +173,15 @@ def _table(cells: pd.DataFrame, metric: str, name: str) -> TextTable:
     count = cells.groupby(["model", "ablation"])["variant"].transform("nunique")
     kept = cells[(count <= MAX_SETTINGS) | cells["is_selected"] | (cells["variant"].map(len) == 0)]
     best = _best(kept, metric, lower_is_better=lower_is_better)
-    rows, columns = sorted(set(map(_order, kept.to_dict("records")))), sorted(kept["column"].unique(), key=natural)
+    lines = kept.to_dict("index")
+    orders = {index: _order(line) for index, line in lines.items()}
+    rows, columns = sorted(set(orders.values())), sorted(kept["column"].unique(), key=natural)
+    most = kept["num_test"].max()
     cells_at = {
-        (_order(line), line["column"]): measured_cell(
-            line, metric, digits, scale, first=line.get("num_test") != kept["num_test"].max()
+        (orders[index], line["column"]): measured_cell(
+            line, metric, digits, scale, first=line["num_test"] != most
         )._replace(best=index in best)
-        for index, line in kept.to_dict("index").items()
+        for index, line in lines.items()
     }
     table = pd.DataFrame(
         {column: [cells_at.get((row, column), Cell(MISSING)) for row in rows] for column in columns},
@@ -242,10 +248,15 @@ def _best(cells: pd.DataFrame, metric: str, *, lower_is_better: bool) -> set[Any
 
 def _order(line: dict[Any, Any]) -> tuple[Any, ...]:
     """Return the place of a method in tables: those of the paper's tables first, oracles last; then its printed name."""
-    known = [(method.model, method.ablation) for method in methods().values()]
-    key = (line["model"], line["ablation"])
-    group = 2 if line["model"].startswith(SIMULATED) else 0 if key in known else 1
-    return group, known.index(key) if key in known else 0, *key, natural(line["variant"]), line["method"]
+    key, ranks = (line["model"], line["ablation"]), _ranks()
+    group = 2 if line["model"].startswith(SIMULATED) else 0 if key in ranks else 1
+    return group, ranks.get(key, 0), *key, natural(line["variant"]), line["method"]
+
+
+@cache
+def _ranks() -> dict[tuple[str | None, str], int]:
+    """Return the place of each of the paper's methods."""
+    return {(method.model, method.ablation): rank for rank, method in enumerate(methods().values())}
 
 
 def natural(text: str) -> tuple[tuple[int, float, str], ...]:

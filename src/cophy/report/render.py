@@ -198,7 +198,7 @@ def _tabular(cells: pd.DataFrame, with_intervals: bool, max_label: int) -> str:
     """Return a tabular environment; labels and headings that are long have several lines."""
     is_long = max(len(str(label)) for label in cells.index) > max_label
     labels = rf"p{{{max_label / LATEX_WIDTH:.2f}\linewidth}}" if is_long else "l"
-    headings = " & ".join([_heading(cells.index.name or ""), *map(_heading, map(str, cells.columns))])
+    headings = " & ".join([_heading(str(cells.index.name or "")), *map(_heading, map(str, cells.columns))])
     lines = [rf"\begin{{tabular}}{{{labels}{'r' * len(cells.columns)}}}", r"\toprule", rf"{headings} \\", r"\midrule"]
     for label, row in zip(cells.index, cells.itertuples(index=False), strict=True):
         ours = [to_latex(cell._replace(best=False).text(interval=False)) for cell in row]
@@ -291,7 +291,7 @@ def _blocks(texts: pd.DataFrame, width: int, max_label: int = MAX_LABEL) -> list
 
 def _rich_table(texts: pd.DataFrame, cells: pd.DataFrame, width: int) -> Table:
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column(texts.index.name or "", width=min(_label_width(texts), width // 2))
+    table.add_column(str(texts.index.name or ""), width=min(_label_width(texts), width // 2))
     for column in texts:
         table.add_column(str(column), justify="right", width=_width(str(column), texts[column]))
     for label, row, of_row in zip(texts.index, texts.to_numpy(), cells.to_numpy(), strict=True):

@@ -60,7 +60,7 @@ def read_line(path: Path) -> dict[str, Any]:
         line = _names(content, path.parent) | {"seed": _count(content, "seed"), "directory": path.parent}
         if f"seed{line['seed']}{line['variant']}" != path.parent.name:
             raise ValueError("seed and variant are not those of its folder")
-        line["changes"] = _changes(content, line["variant"])
+        line["changes"] = _changes(content, str(line["variant"]))
         return line | (_failure(content) if path.name == FAILURE else _results(content))
     except ValueError as error:
         raise CophyError(f"{path.name} was not written by train.py: {error}") from error
@@ -133,8 +133,9 @@ def _results(content: dict[str, Any]) -> dict[str, Any]:
 def _validation_mse(content: dict[str, Any]) -> float:
     """Return the validation MSE of the tested weights; NaN where nothing was validated."""
     validation = content.get("validation")
-    known = isinstance(validation, dict) and "val/mse" in validation
-    return _number(validation, "val/mse") if known else np.nan
+    if not isinstance(validation, dict) or "val/mse" not in validation:
+        return np.nan
+    return _number(validation, "val/mse")
 
 
 def _name(content: dict[str, Any], key: str) -> str:
