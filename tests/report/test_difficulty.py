@@ -132,5 +132,5 @@ def test_page_and_figures_say_what_they_show(arrays: dict[str, np.ndarray], tmp_
     assert f"{first['mse']:.3f} [{first['low']:.3f}, {first['high']:.3f}]" in text
     ((name, figure),) = draw(found, {"blocktower": SPEC.scenario})
     assert name == "difficulty-blocktower-3to3-tiny"
-    titles = [axis.get_title() for axis in figure.axes if axis.axison]
-    assert [title.replace("\n", " ") for title in titles] == ["cell: outcome of AB, of CD", *list(TITLES.values())[2:]]
+    titles = [axis.get_title().replace("\n", " ") for axis in figure.axes if axis.axison]
+    assert titles == ["cell: outcome of AB, of CD", *list(TITLES.values())[2:]]
