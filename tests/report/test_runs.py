@@ -49,8 +49,8 @@ def test_what_was_refused_before_it_began_is_no_run(tmp_path: Path, caplog: pyte
     for seed, begun in enumerate((True, False)):
         directory = tmp_path / PLACE.with_name(f"seed{seed}")
         directory.mkdir(parents=True)
-        names = run("cophynet", seed=seed) | {"variant": "", "error": "ValueError: boom", "has_begun": begun}
-        (directory / "failure.json").write_text(json.dumps({**names, "directory": ""}))
+        names = content(seed=seed, error="ValueError: boom", has_begun=begun)
+        (directory / "failure.json").write_text(json.dumps(names))
     runs = read_runs(tmp_path)
     assert (runs["seed"].tolist(), runs.attrs["unused"], caplog.text) == ([0], 0, "")
 
