@@ -125,8 +125,10 @@ class Report:
 
     def show(self) -> None:
         """Print the tables of all runs, their sweeps, and the paper's tables."""
+        printed = set[str]()
         for table in self.tables:
-            render.show(table.title, table.cells, table.note)
+            render.show(table.title, table.cells, "" if table.note in printed else table.note)
+            printed.add(table.note)
         self._show_failures()
         for table in map(sweep_table, self.sweeps):
             render.show(table.title, table.cells, table.note)

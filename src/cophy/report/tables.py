@@ -37,7 +37,7 @@ ORACLES_NOTE = (
 def _caption(table: PaperTable, used: pd.DataFrame) -> str:
     """Return the caption of a table that these runs fill, without its controls."""
     better = "Lower" if table.lower_is_better else "Higher"
-    notes = [f"Each cell: ours / the paper's. {better} is better."]
+    notes = [f"Ours, then the paper's number. {better} is better."]
     if used.empty:
         return " ".join([*notes, "Nothing was run yet."])
     num_train, num_test, seeds = (_listed(used[name]) for name in ("num_train", "num_test", "seed"))
