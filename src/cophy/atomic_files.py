@@ -74,6 +74,8 @@ def read_npz(path: Path, required: Sequence[str], optional: Sequence[str] = ()) 
             if sum(member.file_size for member in archive.infolist()) > MAX_ARRAY_BYTES:
                 raise ValueError(f"more than {MAX_ARRAY_BYTES} bytes of arrays")
             stored = {member.removesuffix(".npy") for member in archive.namelist()}
+            if missing := [name for name in required if name not in stored]:
+                raise ValueError(f"it has no array {', '.join(missing)}; it has {', '.join(sorted(stored)) or 'none'}")
             return {
                 name: np.lib.format.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False)
                 for name in (*required, *(name for name in optional if name in stored))

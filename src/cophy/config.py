@@ -27,7 +27,7 @@ from cophy.dataset.experiment_set import ExperimentSet
 from cophy.dataset.source import generated_sets
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.schemas import AuditConfig, DataConfig, DerenderConfig, TrainConfig, register
+from cophy.schemas import SCENARIOS, AuditConfig, DataConfig, DerenderConfig, TrainConfig, register
 from cophy.training.run import differences, plain_value, short_keys
 
 OPEN = ("trainer.",)  # takes any argument of lightning.Trainer with +
@@ -106,6 +106,12 @@ def _is_in_a_command() -> bool:
     if not (GlobalHydra.instance().is_initialized() and HydraConfig.initialized()):
         return False
     return any(Path(source.path) == CONF for source in HydraConfig.get().runtime.config_sources)
+
+
+def require_scenario() -> None:
+    """Raise CophyError if the command line names no scenario, for commands to which the default one tells nothing."""
+    if "scenario" not in map(_key_of, HydraConfig.get().overrides.task):
+        raise CophyError(f"scenario= is not given: choose among {', '.join(SCENARIOS)}")
 
 
 def settings(name: str, *overrides: str) -> Any:

@@ -4,15 +4,14 @@ import logging
 from pathlib import Path
 
 import numpy as np
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from cophy import cli
-from cophy.config import generated_by, to_config
+from cophy.config import generated_by, require_scenario, to_config
 from cophy.dataset import generation
 from cophy.dataset.splits import SPLITS
 from cophy.errors import CophyError
-from cophy.schemas import SCENARIOS, LookConfig
+from cophy.schemas import LookConfig
 
 log = logging.getLogger(__name__)
 
@@ -29,8 +28,7 @@ def main(cfg: DictConfig) -> None:
     from cophy.scenario.rendering import Renderer
 
     settings = to_config(cfg, LookConfig)
-    if "scenario" not in {override.partition("=")[0] for override in HydraConfig.get().overrides.task}:
-        raise CophyError(f"scenario= is not given: choose among {', '.join(SCENARIOS)}")
+    require_scenario()
     sets = generated_by(settings)
     trained_on = (states for states in sets if states.spec.num_objects == settings.split.train.num_objects)
     states, directory = next(trained_on, sets[0]), Path(settings.directory)

@@ -1,5 +1,6 @@
 """Score predictions of any model: python src/score.py scenario=collision predictions=mine.npz"""
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +11,29 @@ from omegaconf import DictConfig
 
 from cophy import cli
 from cophy.atomic_files import sha256
-from cophy.config import generated_by, to_config, value_text, variant
+from cophy.config import generated_by, require_scenario, to_config, value_text, variant
 from cophy.errors import CophyError, check_name
 from cophy.schemas import ScoreConfig
 from cophy.scoring import Predictions, Scores, score
 from cophy.submission import TestedSplit, read_predictions_file, read_test_split, write_template
 from cophy.training.run import SCORED_FILE, Results, Run
 
+FAR = 100  # ours: times the MSE of copies
+log = logging.getLogger(__name__)
+
 
 @cli.command("score")
 def main(cfg: DictConfig) -> None:
     from cophy.report.run_summary import show_results  # pandas takes a second; --help does not need it
 
+    require_scenario()
     config = to_config(cfg, ScoreConfig)
     sets = {each.spec.num_objects: each for each in generated_by(config)}
     test = read_test_split(sets[config.split.test.num_objects], config.scenario, config.split)
+    truth = test.truth.position
     if config.template is not None:
         write_template(Path(config.template), test)
+        log.info("%s: %d experiments, positions of shape %s", config.template, *(len(truth), truth.shape))
         return
     path = Path(str(config.predictions))
     run = make_run(config, path, sets[config.split.test.num_objects].spec.overrides)
@@ -38,6 +45,11 @@ def main(cfg: DictConfig) -> None:
         num_train = 0  # the training data need not be here
         if training_set.is_finished():
             num_train = int(config.split.train.select_split(training_set.load(), "train", config.scenario).sum())
+        baselines = copies(test)
+        if scores.mse.mean() > FAR * max(baselines.values()):
+            log.warning(
+                "The MSE is over %d times that of copy C and copy B: are the positions in metres, and of D?", FAR
+            )
         facts = {
             SCORED_FILE: sha256(path),
             "dataset_ids": [test.dataset_id],
@@ -49,7 +61,7 @@ def main(cfg: DictConfig) -> None:
             "training_seconds": 0.0,
             "wall_seconds": 0.0,
         }
-        run.write_results(Results(scores.values, scores.cluster, copies(test), run_arrays(predictions, test)), facts)
+        run.write_results(Results(scores.values, scores.cluster, baselines, run_arrays(predictions, test)), facts)
     show_results(run)
     print(leaderboard_lines(run, config.data_seed, facts, scores), end="")  # noqa: T201 (to be copied)
 

@@ -1,6 +1,7 @@
 """Figures of predictions, for TensorBoard and the report."""
 
 import io
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
@@ -29,6 +30,10 @@ def style(n: int) -> dict[str, Any]:
     """Return colour, line and marker of the n-th line of a figure."""
     repeat = n // len(PALETTE) % len(LINES)
     return {"color": PALETTE[n % len(PALETTE)], "linestyle": LINES[repeat], "marker": MARKERS[repeat]}
+
+
+for name in ("fontTools", "matplotlib.font_manager"):  # a line per table of each font
+    logging.getLogger(name).setLevel(logging.WARNING)
 
 
 def write_figure(path: Path, figure: Figure) -> None:
