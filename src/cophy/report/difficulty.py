@@ -145,7 +145,7 @@ def _scores(run: dict[Any, Any], predictions: dict[str, np.ndarray], truth: Trut
 
 
 MAX_PANELS_PER_ROW = 4
-PANEL_IN, PANEL_LETTERS = 2.3, 32  # that fit next to each other below a panel
+PANEL_IN, PANEL_LETTERS = 3.0, 42  # that fit next to each other below a panel
 MIN_EXPERIMENTS = 40  # of a split, for intervals and lines between thirds
 GROUP_WIDTH = 0.6  # of all models of a group together, as a share of the distance between groups
 EXPLANATION = """# MSE by difficulty
