@@ -176,10 +176,10 @@ def _table(cells: pd.DataFrame, metric: str, name: str) -> TextTable:
     lines = kept.to_dict("index")
     orders = {index: _order(line) for index, line in lines.items()}
     rows, columns = sorted(set(orders.values())), sorted(kept["column"].unique(), key=natural)
-    most = kept["num_test"].max()
+    most = kept.groupby("column")["num_test"].max()
     cells_at = {
         (orders[index], line["column"]): measured_cell(
-            line, metric, digits, scale, first=line["num_test"] != most
+            line, metric, digits, scale, first=line["num_test"] != most[line["column"]]
         )._replace(best=index in best)
         for index, line in lines.items()
     }

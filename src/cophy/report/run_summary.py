@@ -42,24 +42,20 @@ def show_results(run: Run, own_metrics: Iterable[str] = ()) -> None:
 
 
 def _lines(run: Run, content: dict[str, Any], own_metrics: Iterable[str]) -> Iterator[tuple[str, str]]:
-    metrics, intervals = content["metrics"], content["intervals"]
-    low, high = intervals["mse"]
-    yield "MSE, m², with 95 % interval", f"{metrics['mse']:.4f} [{low:.4f}, {high:.4f}]"
+    metrics = content["metrics"]
+    yield "MSE, m², with 95 % interval", _with_interval(content, "mse")
     for name, value in content["copies"].items():
         yield f"  {COPIES[name]}", f"{value:.4f}"
     if (published := published_mse(run.names())) is not None:
         yield "  the paper's number of this row", f"{published:.3f}"
     for name, title in OF_SAMPLES.items():
         if name in metrics:
-            low, high = intervals[name]
-            yield title, f"{metrics[name]:.4f} [{low:.4f}, {high:.4f}]"
+            yield title, _with_interval(content, name)
     for name, title in IN_PERCENT.items():
         if name in metrics:
-            low, high = intervals[name]
-            yield title, f"{metrics[name]:.1%} [{low:.1%}, {high:.1%}]"
+            yield title, _with_interval(content, name, ".1%")
     for name in own_metrics:
-        low, high = intervals[name]
-        yield name, f"{metrics[name]:.4f} [{low:.4f}, {high:.4f}]"
+        yield name, _with_interval(content, name)
     if run.root is None or run.positions != "ground_truth" or run.model.startswith(("oracle", "derenderer")):
         return
     oracles = [_oracle(run.root / run.scenario / run.split / name, content) for name in ENDS_OF_SHARE]
@@ -71,6 +67,13 @@ def _lines(run: Run, content: dict[str, Any], own_metrics: Iterable[str]) -> Ite
             return
         if not np.isnan(share.value):
             yield "Share of the possible gain", f"{share.value:.0%} [{share.low:.0%}, {share.high:.0%}]"
+
+
+def _with_interval(content: dict[str, Any], name: str, form: str = ".4f") -> str:
+    """Return a mean and its interval; without one if all experiments are of one cluster, or alike."""
+    low, high = content["intervals"][name]
+    interval = f" [{low:{form}}, {high:{form}}]" if low < high else ""
+    return f"{content['metrics'][name]:{form}}{interval}"
 
 
 def _oracle(directory: Path, content: dict[str, Any]) -> Path | None:
