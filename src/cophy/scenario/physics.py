@@ -46,7 +46,12 @@ class Clock:
     state_rate_hz: int
 
     def __post_init__(self) -> None:
-        if self.num_frames < 2 or self.frame_rate_hz <= 0 or self.state_rate_hz % self.frame_rate_hz:
+        if (
+            self.num_frames < 2
+            or self.frame_rate_hz <= 0
+            or self.state_rate_hz < self.frame_rate_hz
+            or self.state_rate_hz % self.frame_rate_hz
+        ):
             raise ValueError(
                 f"clock: state_rate_hz must be a multiple of frame_rate_hz, and num_frames at least 2: {self}"
             )
