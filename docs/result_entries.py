@@ -7,18 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from result_runs import ROOT, markdown
+from result_runs import ROOT, SCENARIOS, columns, markdown
+
+from cophy.report.paper_tables import TRUE_POSITIONS
+from cophy.schemas import ESTIMATED
 
 ENTRIES = ROOT / "leaderboard"
 OUR_EXAMPLES = {f"docs/examples/{path.name}" for path in (ROOT / "docs" / "examples").glob("*.py")}
 MAX_BYTES, MAX_TEXT = 1 << 16, 200  # of a file, and of a text in it
 SEES = ("AB", "C", "object_type", "pose", "confounders", "simulator", "external_data")
-SPLITS = {
-    "blocktower": ("3to3", "3to3_unseen", "3to4", "4to4", "4to4_unseen", "4to3"),
-    "balls": ("4to2", "4to3", "4to4", "4to5", "4to6"),
-    "collision": ("all", "sphere_to_cylinder", "cylinder_to_sphere"),
-}
-POSITIONS = ("ground_truth", "derendered", "train_ground_truth_test_derendered")
+SPLITS = {name: tuple(columns(name)) for name in SCENARIOS}
 HASH, ADDRESS = re.compile(r"[0-9a-f]{64}"), re.compile(r"https?://[\w./~%#?=&+-]+")
 NAME = re.compile(r"[\w .,()+-]+")  # no character of Markdown or HTML
 LARGEST = 1e6  # m²; the largest MSE of a finite prediction that makes sense is far below
@@ -131,8 +129,8 @@ def _problems_of_score(score: Score) -> Iterator[str]:
         yield f"split: none of {', '.join(SPLITS[score.scenario])}"
     if score.size not in ("small", "paper"):
         yield "size: neither small nor paper"
-    if score.positions not in POSITIONS:
-        yield f"positions: none of {', '.join(POSITIONS)}"
+    if score.positions not in ESTIMATED:
+        yield f"positions: none of {', '.join(ESTIMATED)}"
     for key in ("data_seed", "seed", "num_test"):
         if not _is_count(getattr(score, key)):
             yield f"{key}: no number from 0"
@@ -174,7 +172,7 @@ def entries_table() -> str:
                     f"{entry.name} (`{entry.code}`)" if entry.code in OUR_EXAMPLES else f"[{entry.name}]({entry.code})",
                     ", ".join(entry.sees),
                     f"{entry.parameters:,}",
-                    f"{scenario} {split}, {size}" + ("" if positions == POSITIONS[0] else ", estimated positions"),
+                    f"{scenario} {split}, {size}" + ("" if positions == TRUE_POSITIONS else ", estimated positions"),
                     f"{len(scores)}",
                     _cell([score.mse for score in scores], 3),
                     _cell([[100 * each for each in score.twin_difference_explained] for score in scores], 1),

@@ -26,21 +26,6 @@ def checkpoints(results: Results) -> str:
     return markdown(["file", "SHA-256", "trained with", "test MSE, m²"], rows)
 
 
-def derenderers() -> str:
-    """The published de-renderers, with their error on their own test images."""
-    rows = [
-        [
-            f"`{line['file']}`",
-            f"`scenario={line['scenario']} {line['choice']}`",
-            f"{float(line['euclidean_error']):.2f}",
-            f"{float(line['presence_accuracy']):.1%}".replace("%", " %"),
-        ]
-        for line in read_csv(ROOT / "checkpoints" / "index.csv")
-        if line["method"] == "derenderer"
-    ]
-    return markdown(["file", "trained with", "mean position error, m", "slots with correct presence"], rows)
-
-
 def column_meanings() -> str:
     """What the columns of results.csv mean."""
     meanings = read_csv(ROOT / "docs" / "results" / "columns.csv")

@@ -12,7 +12,7 @@ import yaml
 import cophy
 from cophy.commands.score import leaderboard_lines
 from cophy.training.run import Run
-from tests.conftest import ROOT, SCENARIOS, cached_settings
+from tests.conftest import ROOT
 from tests.test_scoring import along_x, four
 
 
@@ -121,12 +121,6 @@ def test_two_entries_have_two_names(entries: ModuleType, tmp_path: Path) -> None
 
 def test_the_entries_of_the_repository_are_valid(entries: ModuleType) -> None:
     assert entries.read_entries()
-
-
-def test_the_splits_are_those_of_the_scenarios(entries: ModuleType) -> None:
-    for name in SCENARIOS:
-        splits = cached_settings("generate", f"scenario={name}").scenario.task.splits
-        assert set(entries.SPLITS[name]) == set(splits) - {"3to3_seen"}
 
 
 def test_seeds_are_averaged(entries: ModuleType) -> None:

@@ -246,7 +246,7 @@ TABLES: dict[str, tuple[Callable[[dict[str, np.ndarray]], dict[str, Any]], str]]
     "a column is missing": (lambda t: {name: t[name] for name in t if name != "frame"}, "columns frame are missing"),
     "a line is missing": (lambda t: without(t, slice(1, None)), "1 lines are missing, the first is id"),
     "a line is there twice": (lambda t: {n: np.append(c, c[:1]) for n, c in t.items()}, "1 lines are there twice"),
-    "an unknown id": (lambda t: with_first(t, "id", 10**9), "1 lines are of experiments that are not in this"),
+    "an unknown id": (lambda t: with_first(t, "id", 10**9), "1 lines name an experiment that is not in this"),
     "frame 0": (lambda t: with_first(t, "frame", 0), "1 lines have a frame that is not from 1 to 14"),
     "slot 9": (lambda t: with_first(t, "slot", 9), "1 lines have a slot that is not from 0 to 3"),
     "a huge sample": (lambda t: t | {"sample": np.arange(len(t["id"])) + 10**12}, "sample number that is too large"),

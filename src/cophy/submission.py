@@ -43,14 +43,12 @@ class TestedSplit:
         observed: (n, T-1, K, 3) positions in AB after its first frame, m.
         groups: Kind of group ("cell", "do_operation") -> name -> (n,) bool, which experiments belong to it.
         dataset_id: Of the dataset.
-        slots: Names of the K slots.
     """
 
     truth: Truth
     observed: np.ndarray
     groups: Mapping[str, Mapping[str, np.ndarray]]
     dataset_id: str
-    slots: tuple[str, ...]
 
 
 def load_truth(
@@ -120,7 +118,7 @@ def read_test_split(experiments: ExperimentSet, scenario: Scenario, split: Split
         for kind, of_kind in names.items()
         if len(of_kind) > 1
     }
-    return TestedSplit(truth, position[:, 0, 1:].copy(), groups, experiments.id, tuple(scenario.colors))
+    return TestedSplit(truth, position[:, 0, 1:].copy(), groups, experiments.id)
 
 
 def write_template(path: Path, test: TestedSplit) -> None:
@@ -192,10 +190,10 @@ def _from_table(path: Path, truth: Truth) -> Predictions:
             where = ", ".join(f"{name} {columns[name][first]}" for name in KEY)
             raise ValueError(f"{wrong.sum()} lines {problem}, the first has {where}; {REMEDY}")
 
-    refuse(truth.experiment[row] != columns["id"], "are of experiments that are not in this test split")
+    refuse(truth.experiment[row] != columns["id"], "name an experiment that is not in this test split")
     refuse((step < 0) | (step >= steps), f"have a frame that is not from 1 to {steps}")
     refuse((slot < 0) | (slot >= slots), f"have a slot that is not from 0 to {slots - 1}")
-    refuse(~truth.presence[row, slot], "are of a slot without an object in C")
+    refuse(~truth.presence[row, slot], "name a slot that is empty in C")
     num_samples = int(sample.max(initial=0)) + 1
     per_sample = steps * int(truth.presence.sum())
     refuse((sample < 0) | (sample > len(sample) // per_sample), "have a sample number that is too large")

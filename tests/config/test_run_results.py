@@ -28,7 +28,7 @@ def test_the_table_holds_the_numbers_of_metrics_json(tiny_data: Path, tmp_path: 
     found = {model: metrics_of(tmp_path, model) for model in printed}
     for model, text in printed.items():
         mse, (low, high) = found[model]["metrics"]["mse"], found[model]["intervals"]["mse"]
-        assert low == high == mse  # the twin pairs of tiny data are of one cluster
+        assert low == high == mse  # tiny data have a single cluster
         assert line(text, "MSE, m², with 95 % interval") == f"{mse:.4f}"
         assert line(text, "copy C: nothing moves") == f"{found['copy_c']['metrics']['mse']:.4f}"
         assert line(text, "copy B: the do-operation changes nothing") == f"{found['copy_b']['metrics']['mse']:.4f}"

@@ -104,12 +104,12 @@ def test_filters_take_models_rows_and_splits_and_name_those_that_exist() -> None
     assert chosen(["in_sup", "drift"], []) == chosen(["in_gt_confounders", "drift"], []) == [1, 2]
     assert chosen(["in"], ["3to4"]) == [1]
     with pytest.raises(
-        CophyError, match=r"models=: no run is of drft; there are: drift, in, in_gt_confounders, in_sup"
+        CophyError, match=r"models=: there is no run of drft; there are drift, in, in_gt_confounders, in_sup"
     ):
         chosen(["drft"], [])
-    with pytest.raises(CophyError, match=r"splits=: no run is of 4to4; there are: 3to3, 3to4"):
+    with pytest.raises(CophyError, match=r"splits=: there is no run of 4to4; there are 3to3, 3to4"):
         chosen([], ["4to4"])
-    with pytest.raises(CophyError, match=r"models=\['drift'\] and of splits=\['3to4'\]"):
+    with pytest.raises(CophyError, match=r"models=\['drift'\] and splits=\['3to4'\]"):
         chosen(["drift"], ["3to4"])
 
 

@@ -87,7 +87,7 @@ def make_run(config: ScoreConfig, path: Path, changes: tuple[str, ...]) -> Run:
     """
     choices = HydraConfig.get().runtime.choices
     if changes:
-        raise CophyError("score.py knows data by scenario=, size=, confounders= and data_seed= alone")
+        raise CophyError("score.py scores data of scenario=, size= and data_seed= alone")
     name = path.stem if config.name is None else config.name
     try:
         check_name("name", name)
@@ -138,8 +138,8 @@ def run_arrays(predictions: Predictions, test: TestedSplit) -> dict[str, np.ndar
     order = np.argsort(predictions.experiment)[np.argsort(np.argsort(truth.experiment))]
     names = ("experiment", "pair", "cluster", "cell", "initial", "presence", "stable")
     arrays = {name: getattr(truth, name) for name in names} | {"target": truth.position}
-    present = truth.presence[:, None]
-    predicted = {"position": np.where(present[..., None], predictions.position[order], 0.0)}
-    if predictions.stable_logit is not None:
-        predicted["stable_logit"] = np.where(present, predictions.stable_logit[order], 0.0)
-    return arrays | predicted
+    for name in ("position", "stable_logit", "draw_variance"):
+        if (predicted := getattr(predictions, name)) is not None:
+            present = truth.presence[:, None] if predicted.ndim == 3 else truth.presence[:, None, :, None]
+            arrays[name] = np.where(present, predicted[order], 0.0)
+    return arrays

@@ -123,7 +123,7 @@ def compare_methods(outputs: Path, names: Sequence[str]) -> pd.DataFrame:
     by_name = {name: _runs_of(runs, name) for name in names}
     if missing := [name for name, its_runs in by_name.items() if its_runs.empty]:
         known = ", ".join(sorted(set(runs["name"])))
-        raise CophyError(f"compare=: no run in {outputs} is of {', '.join(missing)}; there are: {known}")
+        raise CophyError(f"compare=: {outputs} has no run of {', '.join(missing)}; there are {known}")
     chosen = {_title(name, its_runs): its_runs for name, its_runs in by_name.items()}
     if len(chosen) < 2:
         raise CophyError(f"compare=[{','.join(names)}]: name two or more methods, such as compare=[cophynet,in]")

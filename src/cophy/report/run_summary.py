@@ -70,7 +70,7 @@ def _lines(run: Run, content: dict[str, Any], own_metrics: Iterable[str]) -> Ite
 
 
 def _with_interval(content: dict[str, Any], name: str, form: str = ".4f") -> str:
-    """Return a mean and its interval; without one if all experiments are of one cluster, or alike."""
+    """Return a mean and its interval; without one if it has no width, as with a single cluster."""
     low, high = content["intervals"][name]
     interval = f" [{low:{form}}, {high:{form}}]" if low < high else ""
     return f"{content['metrics'][name]:{form}}{interval}"

@@ -222,12 +222,12 @@ def filter_runs(runs: pd.DataFrame, models: Sequence[str], splits: Sequence[str]
     for key, names, of_runs in (("models", models, of_rows), ("splits", splits, [{name} for name in runs["split"]])):
         known = set().union(*of_runs) - {f"{model}_full" for model in runs["model"]}
         if missing := sorted(set(names) - known):
-            raise CophyError(f"{key}=: no run is of {', '.join(missing)}; there are: {', '.join(sorted(known))}")
+            raise CophyError(f"{key}=: there is no run of {', '.join(missing)}; there are {', '.join(sorted(known))}")
         if names:
             is_chosen &= [not of_run.isdisjoint(names) for of_run in of_runs]
     chosen = runs[is_chosen]
     if chosen.empty:
-        raise CophyError(f"no run is of models={[*models]} and of splits={[*splits]}")
+        raise CophyError(f"there is no run of models={[*models]} and splits={[*splits]}")
     return chosen
 
 
