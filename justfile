@@ -81,9 +81,3 @@ docs: setup
 # measure speed as ratios within one run: just bench training
 bench *args: setup
     {{bin}}/python benchmarks/bench.py "$@"
-
-# train what predict.py needs, in outputs/trained: CoPhyNet, and a de-renderer on 400 experiments: just trained balls 4
-trained scenario="collision" objects="2": setup
-    {{bin}}/python src/train.py scenario={{scenario}} model=cophynet hydra.run.dir=outputs/trained/{{scenario}}/cophynet
-    {{bin}}/python src/train.py scenario={{scenario}} model=derenderer size.num_experiments.{{scenario}}.{{objects}}=400 \
-        hydra.run.dir=outputs/trained/{{scenario}}/derenderer

@@ -17,7 +17,7 @@ from pathlib import Path
 import yaml
 from result_claims import claims
 from result_entries import EntryError, entries_table
-from result_listings import checkpoints, column_meanings
+from result_listings import checkpoints, column_meanings, derenderers
 from result_runs import (
     COLUMNS,
     COPIES,
@@ -155,6 +155,7 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "claims": partial(claims, results),
         "format_4": partial(headlines, format_4),
         "checkpoints": partial(checkpoints, format_4),
+        "derenderers": derenderers,
         "columns": column_meanings,
         "data_costs": data_costs,
         "rendering": rendering,

@@ -26,6 +26,22 @@ def checkpoints(results: Results) -> str:
     return markdown(["file", "SHA-256", "trained with", "test MSE, m²"], rows)
 
 
+def derenderers() -> str:
+    """The published weights of de-renderers."""
+    rows = [
+        [
+            f"`{line['file']}`",
+            line["sha256"][:8],
+            f"`{line['choice']}`",
+            f"{float(line['euclidean_error']):.2f}",
+            f"{float(line['presence_accuracy']):.2%}",
+        ]
+        for line in read_csv(ROOT / "checkpoints" / "index.csv")
+        if line["method"] == "derenderer"
+    ]
+    return markdown(["file", "SHA-256", "trained with", "test position error, m", "presence correct"], rows)
+
+
 def column_meanings() -> str:
     """What the columns of results.csv mean."""
     meanings = read_csv(ROOT / "docs" / "results" / "columns.csv")

@@ -318,8 +318,8 @@ def _aligned(
         finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
         if not finite.all():
             raise CophyError(
-                f"predictions: {name} of experiment {truth.experiment[finite.argmin()]} has non-finite values: "
-                "lower the learning rate, or look for a division by zero in the model"
+                f"predictions: {name} of experiment {truth.experiment[finite.argmin()]} has non-finite values; "
+                "if a training made them, lower its learning rate or look for a division by zero in its model"
             )
     position, variance = aligned["position"], aligned["draw_variance"]
     assert position is not None

@@ -40,18 +40,15 @@ def test_the_model_of_the_page_trains_and_appears_in_the_report(tiny_data: Path,
         return result.stdout
 
     row = tmp_path / "outputs/collision/all/drift/full/ground_truth/seed0+size-tiny+max_epochs-2"
-    command(
-        "train.py", "--config-dir", str(tmp_path / "conf"), "scenario=collision", "model=drift", "size=tiny", f"data_dir={tiny_data}",
-        "trainer.max_epochs=2", f"source.outputs={tmp_path / 'outputs'}",
-    )  # fmt: skip
+    train = (
+        *("train.py", "--config-dir", str(tmp_path / "conf"), "scenario=collision", "model=drift", "size=tiny"),
+        *(f"data_dir={tiny_data}", "trainer.max_epochs=2", f"source.outputs={tmp_path / 'outputs'}"),
+    )
+    command(*train)
     metrics = json.loads((row / "metrics.json").read_text())
     assert metrics["model"] == "drift"
     assert metrics["metrics"]["mse"] > 0
-    command(
-        *("train.py", "scenario=collision", "model=drift", "size=tiny", f"data_dir={tiny_data}"),
-        *("split=heavy_to_light", "loss=late", "metrics=final_height", "trainer.max_epochs=2"),
-        f"source.outputs={tmp_path / 'outputs'}",
-    )
+    command(*train, "split=heavy_to_light", "loss=late", "metrics=final_height")
     row = tmp_path / "outputs/collision/heavy_to_light/drift/full/ground_truth/seed0+size-tiny+loss-late+max_epochs-2"
     metrics = json.loads((row / "metrics.json").read_text())
     assert metrics["intervals"]["final_height"][0] <= metrics["metrics"]["final_height"]

@@ -17,9 +17,8 @@ from cophy.errors import CophyError
 from cophy.report import render
 from cophy.report.paper_tables import TRUE_POSITIONS, method_title, methods
 from cophy.report.predictions import stored_scores
-from cophy.report.runs import IN_CAPTIONS, MISSING, POSITIONS, comparable_seeds, notice, read_line
+from cophy.report.runs import IN_CAPTIONS, MISSING, POSITIONS, comparable_seeds, notice, read_runs
 from cophy.scoring import Scores, average, compare, have_same_experiments
-from cophy.training.run import METRICS
 
 log = logging.getLogger(__name__)
 
@@ -142,24 +141,20 @@ def compare_methods(outputs: Path, names: Sequence[str]) -> pd.DataFrame:
 
 
 def _read_runs(outputs: Path) -> pd.DataFrame:
-    """Return the lines of all finished predictors (see `read_line`) with their names; the log names damaged files."""
-    lines = []
-    for path in sorted(outputs.glob(f"*/*/*/*/*/seed*/{METRICS}")):
-        try:
-            line = read_line(path)
-        except (CophyError, OSError) as error:
-            log.warning("%s is skipped: %s", path.parent, error)
-            continue
-        if not line["model"].startswith("derenderer"):
-            changes = line["variant"].split("+")[1:]
-            data = " ".join(change for change in changes if change.startswith(DATA_SEED))
-            kept = [change for change in changes if not change.startswith((*IN_CAPTIONS, DATA_SEED))]
-            positions = [] if line["positions"] == TRUE_POSITIONS else [f"@{line['positions']}"]
-            name = "".join(["+".join([_base(line["model"], line["ablation"]), *kept]), *positions])
-            lines.append(line | {"data": data, "changes": changes, "name": name})
-    if not lines:
+    """Return the finished predictors (see `read_runs`) with their names; `changes` are the parts of their variant."""
+    runs = read_runs(outputs)
+    runs = runs if runs.empty else runs[runs["error"].isna() & ~runs["model"].str.startswith("derenderer")]
+    if runs.empty:
         raise CophyError(f"outputs={outputs}: there are no finished predictors to compare")
-    return pd.DataFrame(lines)
+    runs = runs.assign(changes=runs["variant"].str.split("+").str[1:])
+    return runs.assign(name=runs.apply(_name, axis=1))
+
+
+def _name(run: "pd.Series[Any]") -> str:
+    """Return the name of a run's method: what captions or columns name is no part of it."""
+    kept = [change for change in run["changes"] if not change.startswith((*IN_CAPTIONS, DATA_SEED))]
+    positions = "" if run["positions"] == TRUE_POSITIONS else f"@{run['positions']}"
+    return "+".join([_base(run["model"], run["ablation"]), *kept]) + positions
 
 
 def _base(model: str, ablation: str) -> str:
@@ -289,7 +284,7 @@ def _label(line: Mapping[Any, Any], frame: pd.DataFrame) -> str:
     """Return the name of a column; the size is in captions where there is one."""
     place = [line["scenario"], line["split"].replace("_to_", "→")]
     size = [line["size"]] if frame["size"].nunique() > 1 else []
-    return " ".join(filter(None, [*place, *size, line["data"].replace("_seed-", " seed ")]))
+    return " ".join(filter(None, [*place, *size, line["data"].replace("_seed=", " seed ")]))
 
 
 def _amounts(lines: pd.DataFrame) -> str:

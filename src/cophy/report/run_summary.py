@@ -14,7 +14,7 @@ from cophy.errors import CophyError
 from cophy.report.paper_tables import published_mse
 from cophy.report.predictions import stored_scores
 from cophy.report.runs import read_line
-from cophy.report.tables import share_of_gain
+from cophy.report.tables import PAPER_SIZES, share_of_gain
 from cophy.training.run import METRICS, Run
 
 ENDS_OF_SHARE = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
@@ -47,13 +47,16 @@ def _lines(run: Run, content: dict[str, Any], own_metrics: Iterable[str]) -> Ite
     for name, value in content["copies"].items():
         yield f"  {COPIES[name]}", f"{value:.4f}"
     if (published := published_mse(run.names())) is not None:
-        yield "  the paper's number of this row", f"{published:.3f}"
+        more = "" if content["size"] in PAPER_SIZES else ", from more experiments"
+        yield f"  the paper's number of this row{more}", f"{published:.3f}"
     for name, title in OF_SAMPLES.items():
         if name in metrics:
             yield title, _with_interval(content, name)
     for name, title in IN_PERCENT.items():
         if name in metrics:
             yield title, _with_interval(content, name, ".1%")
+    if not metrics.keys() & IN_PERCENT.keys():
+        yield "No twin pairs in the test split: no measures of twins", ""
     for name in own_metrics:
         yield name, _with_interval(content, name)
     if run.root is None or run.positions != "ground_truth" or run.model.startswith(("oracle", "derenderer")):

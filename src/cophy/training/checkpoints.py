@@ -467,5 +467,5 @@ def _differing(stored: dict[str, Any], wanted: dict[str, Any]) -> str:
         others = keys  # the data alone, which otherwise follow from the settings
     named = [f"{group}={stored.get(f'{group}.name')}" for group in groups]
     named += [f"{key}={stored.get(key)}" for key in others]
-    more = [f"and {len(named) - MAX_NAMED} others"] if len(named) > MAX_NAMED else []
+    more = [f"and {len(named) - MAX_NAMED} more"] if len(named) > MAX_NAMED else []
     return ", ".join(named[:MAX_NAMED] + more)
