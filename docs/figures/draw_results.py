@@ -213,11 +213,10 @@ def errors_over_time(data: dict[str, ExperimentDataset], held: dict[str, Held], 
         time = np.arange(experiments.true.shape[1] + 1) / data[name].scenario.clock.frame_rate_hz
         for method, color in METHODS.items():
             curves = curves_of_clusters(predicted[name][method], experiments)
-            low, high = bootstrap(
-                (curves,), np.mean, n_resamples=NUM_RESAMPLES, method="percentile", rng=0
-            ).confidence_interval
             axis.plot(time, curves.mean(axis=0), color=color, lw=1.6, label=method)
-            axis.fill_between(time, low, high, color=color, alpha=0.2, lw=0)
+            if len(curves) > 1:
+                band = bootstrap((curves,), np.mean, n_resamples=NUM_RESAMPLES, method="percentile", rng=0)
+                axis.fill_between(time, *band.confidence_interval, color=color, alpha=0.2, lw=0)
         axis.set_title(f"{TITLES[name]} (n = {len(experiments.true)})", fontsize=9)
         axis.set(xlim=(0, time[-1]), ylim=(0, None))
         axis.set_xlabel("time (s)", fontsize=9)

@@ -82,7 +82,7 @@ def test_a_full_disk_is_named_and_destroys_nothing(name: str, worlds: list[Path]
 def test_commands_at_the_same_time_end_as_one_after_another(worlds: list[Path], tmp_path: Path) -> None:
     steps = (
         *(step for step in STEPS if step.name in {"generate", "render", "train"}),
-        Step("export", "export", (*DATA, "root={world}/tree", "clips=false")),
+        Step("export", "export", (*DATA, "root={world}/tree", "images=false")),
         Step("in", "train", (*DATA, *TRAINING, "model=in", "trainer.max_epochs=2")),
         Step("copy", "train", (*DATA, *TRAINING, "model=copy_b")),
         Step("audit", "audit", (*DATA, "replayed_pairs=1", "directory={world}/audit")),

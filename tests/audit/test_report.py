@@ -24,7 +24,7 @@ def test_states_that_are_not_finite_fail_and_stop_no_check(tiny) -> None:
     changed[0] = np.nan
     checks = list(audit_generated(arrays | {"states": changed}, spec, replayed_pairs=1))
     assert "states are finite, empty slots zero" in failing(checks)
-    assert checks[-1].name == "simulations per experiment"
+    assert checks[-1].name.endswith("among all configurations")
 
 
 def test_without_varying_confounders_of_objects_there_is_no_figure_of_outcomes(tiny, tmp_path: Path) -> None:

@@ -51,10 +51,12 @@ def test_images_are_read_on_access_by_any_process(tiny_data: Path) -> None:
     )
     first = data[0]
     assert "segmentation" not in first
-    (path,) = States(tiny_spec("collision"), tiny_data).directory.glob("images-16-*/shard-00000.h5")
-    with h5py.File(path) as shard:
-        np.testing.assert_array_equal(first["rgb"], shard["rgb"][data.rows[0]])
-        np.testing.assert_array_equal(first["depth"], shard["depth"][data.rows[0]])
+    spec = tiny_spec("collision")
+    shard, place = divmod(data.rows[0], len(spec.experiments_of_shard(0)))
+    (path,) = States(spec, tiny_data).directory.glob(f"images-16-*/shard-{shard:05}.h5")
+    with h5py.File(path) as stored:
+        np.testing.assert_array_equal(first["rgb"], stored["rgb"][place])
+        np.testing.assert_array_equal(first["depth"], stored["depth"][place])
     assert (pickle.loads(pickle.dumps(data))[0]["rgb"] == first["rgb"]).all()
     (batch,) = DataLoader(data, batch_size=len(data), num_workers=2)
     assert batch["rgb"].shape == (len(data), *first["rgb"].shape)

@@ -137,7 +137,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     train(*sweep, "model.hidden_dim=8", "seed=7", data=tiny_data)
     printed = run("report", f"outputs={tmp_path}", f"data_dir={tiny_data}")
     assert "CoPhyNet (hidden_dim=8)" in " ".join(printed.split())
-    assert "cophynet static_gating" in (tmp_path / "report" / "difficulty.md").read_text()
+    assert "Static gating" in (tmp_path / "report" / "difficulty.md").read_text()
     markdown = (tmp_path / "report" / "tables.md").read_text()
     assert "0.318" not in markdown  # IN was not run
     assert "Table 2" in markdown

@@ -19,7 +19,8 @@ def results(outputs: Path) -> tuple[dict, dict[str, np.ndarray]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("size", ["", "size.num_experiments.collision.2=50"], ids=["even", "uneven"])
 def test_two_processes_leave_what_one_does(tiny_data: Path, tmp_path: Path, size: str) -> None:
-    keys = ("scenario=collision", "model=in", "trainer.max_epochs=2", *([size] if size else []))
+    # SOAP would amplify differences of rounding
+    keys = ("scenario=collision", "model=in", "optimizer=adam", "trainer.max_epochs=2", *([size] if size else []))
     printed = train(*keys, *ON_TWO, f"source.outputs={tmp_path / 'two'}", data=tiny_data, apart=True)
     assert "sync_dist" not in printed
     two, predicted = results(tmp_path / "two")

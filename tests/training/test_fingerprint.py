@@ -82,9 +82,12 @@ def test_modules_next_to_a_model_of_the_user_count(tmp_path: Path, monkeypatch: 
     del sys.modules["users_model"]
 
 
-def test_modules_next_to_a_loss_of_the_user_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("decorator", ["", "import torch\n\n@torch.enable_grad()\n"])
+def test_modules_next_to_a_loss_of_the_user_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, decorator: str
+) -> None:
     (tmp_path / "users_loss.py").write_text(
-        "def double(predicted, target, factor): return factor * (predicted - target)\n"
+        f"{decorator}def double(predicted, target, factor): return factor * (predicted - target)\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     loss = instantiate_function("training.loss", {"_target_": "users_loss.double", "factor": 2})

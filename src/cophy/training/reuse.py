@@ -59,7 +59,8 @@ def hash_code(*parts: object) -> str:
     """
     folders = [PACKAGE / name for name in CODE]
     for part in filter(None, parts):  # a de-renderer has no loss of positions
-        source = inspect.getsourcefile(part.func if isinstance(part, partial) else type(part))
+        written = inspect.unwrap(part.func) if isinstance(part, partial) else type(part)  # a decorator is elsewhere
+        source = inspect.getsourcefile(written)
         if source and PACKAGE not in Path(source).parents:
             folders.append(Path(source).parent)
     paths = [PACKAGE / "types.py", *(path for folder in folders for path in sorted(folder.glob("*.py")))]
