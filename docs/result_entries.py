@@ -1,6 +1,10 @@
-"""Leaderboard entries from elsewhere: leaderboard/*.yaml, one file per method, with a closed set of keys."""
+"""Leaderboard entries from elsewhere: leaderboard/*.yaml, one file per method, with a closed set of keys.
+
+python docs/result_entries.py FILE ... checks files.
+"""
 
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -200,3 +204,11 @@ def _cell(values: list[list[float]], digits: int) -> str:
     else:
         spread = (values[0][2] - values[0][1]) / 2
     return f"{mean:.{digits}f} ±{spread:.{digits}f}"
+
+
+if __name__ == "__main__":
+    for path in map(Path, sys.argv[1:]):
+        try:
+            sys.stdout.write(f"{path}: valid; its scores: {len(read_entry(path).scores)}\n")
+        except EntryError as error:
+            sys.exit(str(error))
