@@ -54,6 +54,11 @@ def test_a_truncated_clip_is_removed(share: float, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["whole.webm"]
 
 
+def test_a_clip_that_cannot_be_created_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere/1-ab\.webm"):
+        module._write_clip(tmp_path / "nowhere" / "1-ab.webm", FRAMES, 25)
+
+
 def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(1, 1, 0))
     with pytest.raises(OSError, match="No space left"):

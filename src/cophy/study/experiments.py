@@ -182,11 +182,12 @@ def _write_clip(path: Path, frames: np.ndarray, frame_rate_hz: int) -> None:
     """Write RGB frames, (frame, R, R, 3), as a WebM file.
 
     Raises:
-        OSError: The disk is full.
+        OSError: The file cannot be created, or the disk is full.
         CophyError: OpenCV did not write all frames, which it does not report.
     """
     webm = path.with_name(f"{path.name}.webm")  # OpenCV derives the container from the suffix
     try:
+        webm.touch()  # OpenCV does not say why it cannot create a file
         writer = cv2.VideoWriter(str(webm), cv2.VideoWriter.fourcc(*CODEC), frame_rate_hz, frames.shape[1:3])
         if not writer.isOpened():
             check_space(webm)
