@@ -36,7 +36,7 @@ def test_the_table_holds_the_numbers_of_metrics_json(tiny_data: Path, tmp_path: 
         assert line(text, "Explained part of the twins' difference") == f"{explained:.1%}"
         assert f"Results: {tmp_path}" in text
         assert "Share" not in text
-    assert line(printed["copy_c"], "the paper's number of this row") == "4.370"
+    assert line(printed["copy_c"], "the paper's number of this row, from more experiments") == "4.370"
 
 
 def test_an_interval_is_printed_if_there_is_one() -> None:
