@@ -1,8 +1,10 @@
 """Make, or continue, the results of the docs: python benchmarks/reproduce.py [PART ...] [--scenario NAME] [--workers N] [--plan]
 
 Parts: data (datasets), audit, headline (rows of the headline table: three training seeds on two datasets), oracles. All by default.
-Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side. What is finished is skipped, and
-what was interrupted continues. Logs: reproduce/ in the folder of outputs. Afterwards, keep_results.py and docs/generate.py write the tables.
+Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side. What is finished or has a row
+in docs/results/results.csv is skipped (delete the row to make it again), and what was interrupted continues. Oracles are needed
+for the share of the possible gain, so a row does not replace their files. Logs: reproduce/ in the folder of outputs.
+Afterwards, keep_results.py and docs/generate.py write the tables.
 """
 
 import os
@@ -27,6 +29,7 @@ from cophy.schemas import register
 from cophy.training.run import METRICS, Run
 
 ROOT = Path(__file__).parents[1]
+ROW = ["scenario", "split", "model", "ablation", "size", "variant", "seed"]  # columns of results.csv
 RESULTS = ROOT / "docs" / "results" / "results.csv"
 OUTPUTS = Path(folder("COPHY_OUTPUTS"))
 LOGS = OUTPUTS / "reproduce"
@@ -50,13 +53,14 @@ ORACLE_HOURS = ORACLE_EXPERIMENTS * SECONDS_PER_EXPERIMENT / 3600
 
 @dataclass
 class Job:
-    """A command, the file that says that it is finished, and what is known of its cost."""
+    """A command, the file that says that it is finished, what is known of its cost, and the names of its row in results.csv."""
 
     scenario: str
     command: list[str]
     finished: Path
     hours: float = float("nan")
     megabytes: float = 0.0
+    row: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -67,9 +71,10 @@ def main(parts: list[str], scenarios: list[str], size: str, workers: int, plan: 
     """Print the plan and run it, part by part."""
     register()
     failed = []
+    kept = set(map(tuple, pd.read_csv(RESULTS, dtype=str, keep_default_na=False)[ROW].to_numpy()))
     for part in parts or PARTS:
         jobs = [job for job in PARTS[part](size) if job.scenario in (scenarios or HEADLINE)]
-        left = [job for job in jobs if not job.finished.exists()]
+        left = [job for job in jobs if not job.finished.exists() and job.row not in kept]
         print_plan(part, jobs, left)
         if not plan:
             failed += [job.name for job in run_all(left, workers)]
@@ -106,7 +111,8 @@ def headline_jobs(size: str) -> Iterator[Job]:
             for row in [*rows, *ONCE] if seed == 0 and split == splits[0] else rows:
                 if row != "replay" or scenario == "collision":
                     job, names = run_job(scenario, split, row, size, seed, data_seed), methods()[row].keys()
-                    yield replace(job, hours=hours.get((scenario, names["model"], names["ablation"]), float("nan")))
+                    known = hours.get((scenario, names["model"], names["ablation"]), float("nan"))
+                    yield replace(job, hours=known)
 
 
 def oracle_jobs(size: str) -> Iterator[Job]:
@@ -114,7 +120,7 @@ def oracle_jobs(size: str) -> Iterator[Job]:
     for row, data_seed, (scenario, splits) in product(SIMULATED, DATA_SEEDS, HEADLINE.items()):
         changes = {"max_experiments": ORACLE_EXPERIMENTS}
         job = run_job(scenario, splits[0], row, size, 0, data_seed, changes)
-        yield replace(job, hours=ORACLE_HOURS if row == ORACLES[0] else 0.01)
+        yield replace(job, hours=ORACLE_HOURS if row == ORACLES[0] else 0.01, row=())
 
 
 def run_job(
@@ -136,7 +142,8 @@ def run_job(
     command = ["train", f"scenario={scenario}", f"split={split}", f"+row={row}", f"size={size}", f"seed={seed}"]
     command += [f"data_seed={data_seed}", *(f"model.{key}={value}" for key, value in (changes or {}).items())]
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
-    return Job(scenario, command, OUTPUTS / place / METRICS)
+    identity = (scenario, split, names["model"], names["ablation"], size, variant, str(seed))
+    return Job(scenario, command, OUTPUTS / place / METRICS, row=identity)
 
 
 PARTS = {"data": data_jobs, "audit": audit_jobs, "headline": headline_jobs, "oracles": oracle_jobs}
