@@ -104,7 +104,9 @@ def audit_jobs(size: str) -> Iterator[Job]:
 
 def headline_jobs(size: str) -> Iterator[Job]:
     """Rows of the headline table: first the first seed of everything, then the next."""
-    hours = pd.read_csv(RESULTS).groupby(["scenario", "model", "ablation"])["training_seconds"].median() / 3600
+    known_runs = pd.concat([pd.read_csv(table) for table in (RESULTS.with_name("superseded.csv"), RESULTS)])
+    known_runs = known_runs[known_runs["size"] == size]
+    hours = known_runs.groupby(["scenario", "model", "ablation"])["training_seconds"].median() / 3600
     for seed, data_seed, (scenario, splits) in product(SEEDS, DATA_SEEDS, HEADLINE.items()):
         for split in splits:
             rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]

@@ -13,6 +13,7 @@ from cophy.dataset.states import States
 from cophy.submission import load_truth, read_predictions_file
 from tests.conftest import ROOT, tiny_spec
 
+ENSEMBLE = ROOT / "docs" / "examples" / "ensemble.py"
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
 MAX_LINES = 60
 NEEDS = {"jax_model": "jax"}
@@ -26,6 +27,7 @@ needs_package = [
         ),
     )
     for path in EXAMPLES
+    if path != ENSEMBLE  # it starts from runs
 ]
 
 
@@ -49,6 +51,21 @@ def test_an_example_leads_to_scores(
     assert np.isfinite(scores.mse).all()
     if path.stem == "numpy_rule":  # the only one that needs no training
         assert scores.means()["mse"] < cophy.score(read_copy_c(truth), truth).means()["mse"]
+
+
+def test_an_ensemble_scores_its_mean_and_its_spread(
+    tiny_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = load_truth("collision", size="tiny", data_dir=tiny_data)
+    runs = [tmp_path / "near", tmp_path / "far"]
+    for run, error in zip(runs, (1, 3), strict=True):
+        run.mkdir()
+        np.savez(run / "predictions.npz", experiment=truth.experiment, position=truth.position + error)
+    monkeypatch.setattr(sys, "argv", [str(ENSEMBLE), str(tmp_path / "mine.npz"), *map(str, runs)])
+    runpy.run_path(str(ENSEMBLE), run_name="__main__")
+    scores = cophy.score(read_predictions_file(tmp_path / "mine.npz", truth), truth)
+    assert scores.means()["mse"] == pytest.approx(2**2)  # of the mean
+    assert scores.means()["energy_score"] == pytest.approx((1 + 3) / 2 - (3 - 1) / 2)
 
 
 def read_copy_c(truth: cophy.scoring.Truth) -> cophy.scoring.Predictions:

@@ -35,7 +35,8 @@ PIXELS = ("pixel_error_by_height", "pixel_error_3", "pixel_error_2", "pixel_erro
 MEASURES = ("mse", "twin_difference_explained", "right_twin_chosen", "sequence_stability_accuracy", "probe_accuracy")
 COLUMNS = [
     *KEY,
-    *("num_test", "training_seconds", "commit", "predictor"),
+    *("num_test", "training_seconds", "training_cpu_seconds", "parameters", "optimizer", "learning_rate"),
+    *("commit", "predictor"),
     *(f"{measure}{end}" for measure in MEASURES for end in ("", "_low", "_high")),
     *SHARE,
     *(f"{measure}{end}" for measure in PIXELS for end in ("", "_low", "_high")),
@@ -56,7 +57,7 @@ def main(outputs: Path, table: Path) -> None:
     merged = pd.concat([*before, found.reindex(columns=COLUMNS).map(as_text)], ignore_index=True).fillna("")
     merged["commit"] = merged.groupby(SAME_RUN)["commit"].transform("first")
     trained_last = merged.sort_values("predictor", key=lambda given: given == "", kind="stable")
-    kept = trained_last.drop_duplicates(KEY, keep="last").sort_values(KEY)
+    kept = trained_last.drop_duplicates(KEY, keep="last").sort_values(KEY)[COLUMNS]
     write_atomically(table, kept.to_csv(index=False).encode())
     print(f"{table}: {len(found)} runs of commit {commit}, {len(kept)} in all")
 

@@ -19,7 +19,12 @@ from cophy.locks import locked
 from tests.commands import run
 from tests.conftest import ROOT
 
-DURATIONS = {"training_seconds", "wall_seconds", "resumed"}  # keys of metrics.json that may differ
+DURATIONS = {
+    "training_seconds",
+    "training_cpu_seconds",
+    "wall_seconds",
+    "resumed",
+}  # keys of metrics.json that may differ
 EXACT = {".h5", ".csv", ".npz", ".npy", ".mp4", ".txt", ".tex"}  # files that have the same bytes every time
 
 

@@ -24,7 +24,7 @@ pytestmark = [
 ]
 ON_SLURM = ("-m", "hydra/launcher=slurm", "hydra.launcher.mem_gb=2")
 IN = ("scenario=collision", "model=in", "size=tiny")
-TIMES = {"training_seconds", "wall_seconds", "resumed"}
+TIMES = {"training_seconds", "training_cpu_seconds", "wall_seconds", "resumed"}
 
 Start = Callable[..., subprocess.Popen]
 

@@ -15,8 +15,8 @@ from tests.commands import run, train
 
 FIELDS = {
     "scenario", "split", "model", "ablation", "positions", "seed", "size", "variant", "validation",
-    "dataset_ids", "derenderer", "predictor", "max_epochs", "num_train", "num_test", "metric_dims", "training_seconds", "resumed", "wall_seconds", "metrics", "intervals",
-    "copies", "changes", "inputs",
+    "dataset_ids", "derenderer", "predictor", "max_epochs", "num_train", "num_test", "metric_dims", "training_seconds", "training_cpu_seconds", "resumed", "wall_seconds", "metrics", "intervals",
+    "copies", "changes", "inputs", "parameters", "optimizer", "learning_rate",
 }  # fmt: skip
 
 

@@ -18,7 +18,12 @@ from tests.conftest import ROOT
 
 EPOCHS = 40
 KEYS = ("scenario=collision", "model=in", f"trainer.max_epochs={EPOCHS}")
-TIMES = {"training_seconds", "wall_seconds", "resumed"}  # all else that a run leaves is the same
+TIMES = {
+    "training_seconds",
+    "training_cpu_seconds",
+    "wall_seconds",
+    "resumed",
+}  # all else that a run leaves is the same
 
 
 def result(directory: Path) -> dict:

@@ -115,7 +115,7 @@ def leave_checkpoints(run: Run, text: str = "weights") -> None:
         (run.checkpoints / name).write_text(text)
 
 
-FACTS = {"training_seconds": 3.0, "resumed": 0, "validation": {"val/mse": 1.0}}
+FACTS = {"training_seconds": 3.0, "training_cpu_seconds": 2.0, "resumed": 0, "validation": {"val/mse": 1.0}}
 
 
 def test_a_finished_training_is_found_in_another_split(run: Run, tmp_path: Path) -> None:

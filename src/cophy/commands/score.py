@@ -58,7 +58,7 @@ def main(cfg: DictConfig) -> None:
             "num_test": len(scores.experiment),
             "max_epochs": 0,
             "metric_dims": test.truth.metric_dims,
-            "training_seconds": 0.0,
+            **dict.fromkeys(("training_seconds", "training_cpu_seconds"), 0.0),
             "wall_seconds": 0.0,
         }
         run.write_results(Results(scores.values, scores.cluster, baselines, run_arrays(predictions, test)), facts)

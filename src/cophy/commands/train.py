@@ -165,6 +165,11 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
                 "num_test": len(results.clusters),
                 "max_epochs": arguments["max_epochs"],
                 "metric_dims": config.scenario.task.metric_dims,
+                "parameters": sum(each.numel() for each in network.parameters() if each.requires_grad),
+                "optimizer": config.training.optimizer["_target_"].rpartition(".")[2]
+                if is_trainable(network)
+                else None,
+                "learning_rate": config.training.learning_rate if is_trainable(network) else 0.0,
                 "wall_seconds": round(time.monotonic() - start_time, 1),
             }
             log_results(trainer, run.write_results(results, facts))
@@ -187,7 +192,8 @@ def find_start(config: TrainConfig, run: Run, training_hash: str, trainer: "Trai
     from cophy.training.trainer import decide_first, was_requeued
 
     if config.predictor is not None or not is_trainable(network):
-        return Start({"training_seconds": 0.0, "resumed": 0, "validation": {}}, path_of(config.predictor))
+        untrained = {"training_seconds": 0.0, "training_cpu_seconds": 0.0, "resumed": 0, "validation": {}}
+        return Start(untrained, path_of(config.predictor))
     if config.trainer.fast_dev_run:
         return Start(None, path_of(config.ckpt), keeps_curves=True)
     reuse = config.reuse or was_requeued()

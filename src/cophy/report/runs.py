@@ -24,6 +24,7 @@ POSITIONS = {  # what a predictor sees, and how the report says it
     "derendered": "estimated positions",
     "train_ground_truth_test_derendered": "estimated positions in testing",
 }
+COST = ("training_cpu_seconds", "parameters", "learning_rate")
 CHECKPOINTS = ("derenderer", "predictor")  # hashes of checkpoints that the user named
 VARIANT = re.compile(r"(\+[\w.+-]+)?")
 KEY = re.compile(r"[\w./@-]+")
@@ -113,10 +114,11 @@ def _results(content: dict[str, Any]) -> dict[str, Any]:
         "epochs": _count(content, "max_epochs", smallest=-1),  # -1 is no limit
         "metric_dims": _count(content, "metric_dims", smallest=1, largest=3),
         **{name: _number(content, name) for name in ("training_seconds", "wall_seconds")},
+        **{name: _number({name: 0, **content}, name) for name in COST},  # earlier versions did not write it
         "validation_mse": _validation_mse(content),
         "dataset_ids": [_name({"dataset_ids": each}, "dataset_ids") for each in ids],
         "inputs": [_name({"inputs": each}, "inputs") for each in inputs] if isinstance(inputs, list) else [],
-        **{name: None if content.get(name) is None else _name(content, name) for name in CHECKPOINTS},
+        **{name: None if content.get(name) is None else _name(content, name) for name in (*CHECKPOINTS, "optimizer")},
     }
     results["is_trained"] = results["training_seconds"] > 0 or results["predictor"] is not None  # here or earlier
     for name in metrics:

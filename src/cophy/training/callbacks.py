@@ -113,14 +113,15 @@ class ResumeHint(L.Callback):
 
 
 class Stopwatch(L.Callback):
-    """Measures the seconds of a training across resumption, and logs progress if there is no progress bar.
+    """Measures the seconds and CPU seconds of a training across resumption, and logs progress if there is no progress bar.
 
     Args:
         title: The run's name in the log.
     """
 
     def __init__(self, title: str) -> None:
-        self.title, self._before, self._start = title, 0.0, time.monotonic()
+        self.title, self._before, self._cpu_before = title, 0.0, 0.0
+        self._start, self._cpu_start = time.monotonic(), time.process_time()
         self._last_log = self._start
 
     @property
@@ -128,8 +129,13 @@ class Stopwatch(L.Callback):
         """Seconds so far."""
         return self._before + time.monotonic() - self._start
 
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU seconds of this process so far, over all its threads."""
+        return self._cpu_before + time.process_time() - self._cpu_start
+
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        self._start = time.monotonic()
+        self._start, self._cpu_start = time.monotonic(), time.process_time()
 
     def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         has_bar = trainer.progress_bar_callback is not None and sys.stdout.isatty()
@@ -142,7 +148,7 @@ class Stopwatch(L.Callback):
         log.info("%s: epoch %d%s, val/mse %.4f, %.0f s", self.title, epoch, total, mse, self.seconds)
 
     def state_dict(self) -> dict[str, Any]:
-        return {"seconds": self.seconds}
+        return {"seconds": self.seconds, "cpu_seconds": self.cpu_seconds}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self._before = float(state_dict["seconds"])
+        self._before, self._cpu_before = float(state_dict["seconds"]), float(state_dict["cpu_seconds"])

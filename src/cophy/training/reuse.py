@@ -30,7 +30,11 @@ CODE = ("scenario", "dataset", "models", "training")  # the subpackages that wei
 FINISHED, BEGUN = "finished.json", "begun.json"
 STOPPED = "last_of_stopped.ckpt"
 NOTES: dict[str, dict[str, Any]] = {  # the types of what they hold
-    FINISHED: {"fingerprint": str, "training_seconds": int | float, "validation": dict, "resumed": int},
+    FINISHED: {
+        "fingerprint": str,
+        **dict.fromkeys(("training_seconds", "training_cpu_seconds"), int | float),
+        **{"validation": dict, "resumed": int},
+    },
     BEGUN: {"fingerprint": str, "resumed": int},
 }
 PAIR = ("best.ckpt", "last.ckpt")
@@ -40,7 +44,7 @@ class Start(NamedTuple):
     """How a run starts.
 
     Attributes:
-        finished: Facts about the training if there is nothing to train: training_seconds, resumed, validation.
+        finished: Facts about the training if there is nothing to train: what `trainer.fit` returns, and resumed.
         checkpoint: Where training resumes, or the checkpoint to test; None for a new training, or for no weights.
         resumed: How often the training was interrupted before.
         keeps_curves: Whether the curves in the run's folder belong to this training.
@@ -135,7 +139,7 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> 
 
 
 def record_finished(run: Run, wanted: str, facts: dict[str, Any]) -> None:
-    """Store the fingerprint and facts of a finished training: training_seconds, resumed, validation."""
+    """Store the fingerprint and facts of a finished training: what `trainer.fit` returns, and resumed."""
     _write(run.checkpoints, FINISHED, {"fingerprint": wanted, **facts})
     (run.checkpoints / BEGUN).unlink(missing_ok=True)
 
@@ -160,7 +164,7 @@ def _adopt(checkpoints: Path, run: Run) -> dict[str, Any]:
         for name in (*PAIR, FINISHED):
             shutil.copyfile(checkpoints / name, run.checkpoints / name)
     facts = _read(run.checkpoints, FINISHED)
-    return {key: facts[key] for key in ("training_seconds", "resumed", "validation")}
+    return {key: facts[key] for key in ("training_seconds", "training_cpu_seconds", "resumed", "validation")}
 
 
 def _remove_checkpoints(run: Run) -> None:

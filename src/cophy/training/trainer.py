@@ -118,7 +118,7 @@ def make_trainer(
 def fit(
     trainer: L.Trainer, module: L.LightningModule, data: L.LightningDataModule, ckpt: Path | None
 ) -> dict[str, Any]:
-    """Train, and return training_seconds and the validation metrics of the best epoch.
+    """Train, and return training_seconds, training_cpu_seconds and the validation metrics of the best epoch.
 
     Raises:
         CophyError: Lightning refuses a combination of arguments, the checkpoint does not fit, or the training diverges.
@@ -139,7 +139,8 @@ def fit(
     callbacks: list[L.Callback] = trainer.callbacks  # type: ignore[attr-defined]
     (stopwatch,) = (each for each in callbacks if isinstance(each, Stopwatch))
     (best,) = (each for each in callbacks if isinstance(each, BestValidation))
-    return {"training_seconds": round(stopwatch.seconds, 1), "validation": best.metrics}
+    seconds = {"training_seconds": round(stopwatch.seconds, 1), "training_cpu_seconds": round(stopwatch.cpu_seconds, 1)}
+    return {**seconds, "validation": best.metrics}
 
 
 @contextmanager
