@@ -1,10 +1,10 @@
 """Make, or continue, the results of the docs: python benchmarks/reproduce.py [PART ...] [--scenario NAME] [--workers N] [--plan]
 
-Parts: data (datasets), audit, headline (rows of the headline table: three training seeds on two datasets), oracles. All by default.
-Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side. What is finished or has a row
-in docs/results/results.csv is skipped (delete the row to make it again), and what was interrupted continues. Oracles are needed
-for the share of the possible gain, so a row does not replace their files. Logs: reproduce/ in the folder of outputs.
-Afterwards, keep_results.py and docs/generate.py write the tables.
+Parts: data (datasets), audit, headline (rows of the headline table: three training seeds on two datasets), oracles, rows (every
+method of the paper's tables on every split, from true positions), tables (results.csv, then tables and figures of the docs). All by
+default. Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side. What is finished or has
+a row in docs/results/results.csv is skipped (delete the row to make it again), and what was interrupted continues. Oracles are
+needed for the share of the possible gain, so a row does not replace their files. Logs: reproduce/ in the folder of outputs.
 """
 
 import os
@@ -15,6 +15,7 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -24,7 +25,8 @@ from rich.table import Table
 
 from cophy.config import folder, generated_by, settings
 from cophy.oracles.forecasts import SECONDS_PER_EXPERIMENT
-from cophy.report.paper_tables import methods
+from cophy.report.paper_tables import SIMULATED as SIMULATIONS
+from cophy.report.paper_tables import TRUE_POSITIONS, methods, paper_tables
 from cophy.schemas import register
 from cophy.training.run import METRICS, Run
 
@@ -44,6 +46,7 @@ NETWORKS = ["in", "npe", "cophynet", "alongside", "in_sup"]
 ONCE = ["cophynet_adam", "in_without_pose", "cophynet_without_pose"]  # one training seed on the default split
 ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
+SEEDED = ["in", "cophynet", "alongside", "gns", "transformer"]  # rows with more than one training seed on every split
 SEEDS, DATA_SEEDS = (0, 1, 2), (0, 1)
 DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
 AUDIT_HOURS = 0.05  # estimated
@@ -72,12 +75,15 @@ def main(parts: list[str], scenarios: list[str], size: str, workers: int, plan: 
     register()
     failed = []
     kept = set(map(tuple, pd.read_csv(RESULTS, dtype=str, keep_default_na=False)[ROW].to_numpy()))
-    for part in parts or PARTS:
+    for part in [part for part in PARTS if part in (parts or PARTS)]:
         jobs = [job for job in PARTS[part](size) if job.scenario in (scenarios or HEADLINE)]
         left = [job for job in jobs if not job.finished.exists() and job.row not in kept]
         print_plan(part, jobs, left)
         if not plan:
             failed += [job.name for job in run_all(left, workers)]
+    if not plan and TABLES in (parts or [TABLES]):
+        for script in ("benchmarks/results/keep_results.py", "docs/generate.py"):
+            subprocess.run([sys.executable, str(ROOT / script)], check=True)
     if failed:
         sys.exit("failed: " + "\nfailed: ".join(failed))
 
@@ -104,17 +110,12 @@ def audit_jobs(size: str) -> Iterator[Job]:
 
 def headline_jobs(size: str) -> Iterator[Job]:
     """Rows of the headline table: first the first seed of everything, then the next."""
-    known_runs = pd.concat([pd.read_csv(table) for table in (RESULTS.with_name("superseded.csv"), RESULTS)])
-    known_runs = known_runs[known_runs["size"] == size]
-    hours = known_runs.groupby(["scenario", "model", "ablation"])["training_seconds"].median() / 3600
     for seed, data_seed, (scenario, splits) in product(SEEDS, DATA_SEEDS, HEADLINE.items()):
         for split in splits:
             rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]
             for row in [*rows, *ONCE] if seed == 0 and split == splits[0] else rows:
                 if row != "replay" or scenario == "collision":
-                    job, names = run_job(scenario, split, row, size, seed, data_seed), methods()[row].keys()
-                    known = hours.get((scenario, names["model"], names["ablation"]), float("nan"))
-                    yield replace(job, hours=known)
+                    yield run_job(scenario, split, row, size, seed, data_seed)
 
 
 def oracle_jobs(size: str) -> Iterator[Job]:
@@ -123,6 +124,27 @@ def oracle_jobs(size: str) -> Iterator[Job]:
         changes = {"max_experiments": ORACLE_EXPERIMENTS}
         job = run_job(scenario, splits[0], row, size, 0, data_seed, changes)
         yield replace(job, hours=ORACLE_HOURS if row == ORACLES[0] else 0.01, row=())
+
+
+def row_jobs(size: str) -> Iterator[Job]:
+    """Every method of the paper's tables and beyond on every split: first one seed, then those of SEEDED."""
+    cells = [names for table in paper_tables() for _, _, names, _ in table.cells()]
+    rows = {(method.model, method.ablation): name for name, method in methods().items()}
+    wanted = dict.fromkeys(
+        (names["scenario"], names["split"], rows[names["model"], names["ablation"]])
+        for names in cells
+        if names["positions"] == TRUE_POSITIONS and not names.get("model", SIMULATIONS[0]).startswith(SIMULATIONS)
+    )
+    for seed in SEEDS:
+        yield from (run_job(*names, size, seed, 0) for names in wanted if seed == 0 or names[-1] in SEEDED)
+
+
+@cache
+def known_hours(size: str) -> "pd.Series[float]":
+    """Median duration of the runs of this size by scenario, model and ablation."""
+    runs = pd.concat([pd.read_csv(RESULTS.with_name(f"{name}.csv")) for name in ("format_3", "superseded", "results")])
+    of_size = runs[(runs["size"] == size) & (runs["predictor"].isna())]
+    return of_size.groupby(["scenario", "model", "ablation"])["training_seconds"].median() / 3600
 
 
 def run_job(
@@ -145,10 +167,12 @@ def run_job(
     command += [f"data_seed={data_seed}", *(f"model.{key}={value}" for key, value in (changes or {}).items())]
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
     identity = (scenario, split, names["model"], names["ablation"], size, variant, str(seed))
-    return Job(scenario, command, OUTPUTS / place / METRICS, row=identity)
+    hours = known_hours(size).get((scenario, names["model"], names["ablation"]), float("nan"))
+    return Job(scenario, command, OUTPUTS / place / METRICS, hours, row=identity)
 
 
-PARTS = {"data": data_jobs, "audit": audit_jobs, "headline": headline_jobs, "oracles": oracle_jobs}
+PARTS = {"data": data_jobs, "audit": audit_jobs, "headline": headline_jobs, "oracles": oracle_jobs, "rows": row_jobs}
+TABLES = "tables"
 
 
 def print_plan(part: str, jobs: list[Job], left: list[Job]) -> None:
@@ -188,7 +212,9 @@ def run(job: Job) -> int:
 
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], metavar="PART", help=", ".join(PARTS))
+    parser.add_argument(
+        "parts", nargs="*", choices=[*PARTS, TABLES, []], metavar="PART", help=", ".join([*PARTS, TABLES])
+    )
     parser.add_argument("--scenario", dest="scenarios", action="append", choices=list(HEADLINE), help="only this one")
     parser.add_argument("--size", default="small", help="of the datasets (default: small)")
     parser.add_argument(
