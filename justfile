@@ -24,7 +24,7 @@ setup:
 
 [private]
 install:
-    @echo "installing $(grep -c == requirements.lock) packages in .venv: 2.2 GB with torch, a few minutes"
+    @echo "installing $(grep -c == requirements.lock) packages in .venv: 2.4 GB with torch, a few minutes"
     @{{python}} -m venv .venv
     @{{pip}} {{packages}}
     @echo "installing torch and this checkout"
