@@ -53,6 +53,7 @@ ALONGSIDES: dict[str, dict[str, Any]] = {
     "alongside_no_replay": {"replay": False},
     "alongside_no_impulses": {"impulses": False},
     "alongside_no_pair_memory": {"pair_memory": False},
+    "alongside_statics": {"hypotheses": 3, "block_size": 1.0},
 }
 GNS_ARGUMENTS = {
     "hidden_dim": HIDDEN_DIM,

@@ -19,7 +19,17 @@ from tests.models.networks import (
     random_batch,
 )
 
-READ_AB = ("cophynet", "static_gating", "mlp", "single_step", "alongside", "alongside_no_replay", "gns", "transformer")
+READ_AB = (
+    "cophynet",
+    "static_gating",
+    "mlp",
+    "single_step",
+    "alongside",
+    "alongside_no_replay",
+    "alongside_statics",
+    "gns",
+    "transformer",
+)
 DECLARE_APPEARANCE = (*COPHYNETS, *INTERACTION_NETWORKS, "alongside", "gns", "transformer")
 
 
