@@ -22,6 +22,7 @@ from result_runs import (
     COLUMNS,
     COPIES,
     CURVES,
+    FORMAT_4,
     GIVEN_MORE,
     LEARNED,
     ORACLES,
@@ -44,7 +45,6 @@ BLOCK = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end of generated: \1 -->
 NOTHING = "–"
 SIZES = ("small", "paper")
 PREDICTED = (*COPIES, *LEARNED, "alongside_noisy", "cophynet_feedforward", "in_sup", *ORACLES)
-FORMAT_4 = ROOT / "docs" / "results" / "results.csv"
 HEADLINES = [
     ("blocktower", "3to3"),
     ("balls", "4to4"),

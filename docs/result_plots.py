@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from PIL import Image
-from result_runs import COLUMNS, CURVE_METHODS, SCENARIOS, Results, title
+from result_runs import COLUMNS, CURVE_METHODS, CURVES, FORMAT_4, SCENARIOS, Results, title
 
 Data = list[dict[str, Any]]
 
@@ -26,6 +26,10 @@ STYLES = {  # marker, colour, and shift within a group of the leaderboard
 }
 BETWEEN_ORACLES = ("copy_b", "in", "cophynet", "alongside", "oracle_feedforward", "oracle_counterfactual")
 SPACING = {"blocktower": 1.0, "balls": 1.0, "collision": 1.8}  # of the columns: collisions have long names
+COSTS = {  # rows of format 4 that train a network, with their colours
+    **{name: color for name, (_, color, _) in STYLES.items() if name != "copy_b"},
+    **{"cophynet_adam": "#6f9fd0", "cophynet_canonical": "#123a5f", "gns": "#8a4fbf", "transformer": "#d98a1f"},
+}
 MEASURES = {
     "mse": ("test MSE, m²", 1),
     "share": ("share of the possible gain, %", 100),
@@ -170,8 +174,48 @@ def draw_oracles(data: Data) -> Figure:
     return figure
 
 
+def cost_and_error(_: Results) -> Data:
+    """Return CPU time and MSE of the trained methods on data of format 4, size=small, where the CPU time is known."""
+    results, points = Results(FORMAT_4), []
+    for scenario, split in CURVES.items():
+        for method in COSTS:
+            names = {"size": "small", "change": r"(\+data_seed-1)?"}
+            runs = [run for run in results.of(scenario, split, method, **names) if run["training_cpu_seconds"] > 0]
+            points += [
+                {"scenario": scenario, "method": method, "minutes": run["training_cpu_seconds"] / 60, "mse": run["mse"]}
+                for run in runs
+            ]
+    return points
+
+
+def draw_cost(data: Data) -> Figure:
+    """A panel per scenario, a point per training."""
+    scenarios = list(dict.fromkeys(point["scenario"] for point in data))
+    figure, axes = plt.subplots(
+        1, len(scenarios), figsize=(4 * len(scenarios), 3.6), layout="constrained", squeeze=False
+    )
+    for axis, scenario in zip(axes[0], scenarios, strict=True):
+        for method, color in COSTS.items():
+            points = [point for point in data if (point["scenario"], point["method"]) == (scenario, method)]
+            marker = STYLES[method][0] if method in STYLES else "P"
+            values = ([point[name] for point in points] for name in ("minutes", "mse"))
+            axis.plot(*values, marker, color=color, ls="", label=title(method), ms=6)
+        axis.set(xscale="log", yscale="log", xlabel="CPU time of a training, minutes", ylabel="test MSE, m²")
+        for each in (axis.xaxis, axis.yaxis):
+            each.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+            each.set_minor_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+        axis.tick_params(which="both", labelsize=9)
+        axis.set_title(SCENARIOS[scenario], fontsize=11)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.legend(
+        *axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=9
+    )
+    return figure
+
+
 PLOTS: dict[str, tuple[Callable[[Results], Data], Callable[[Data], Figure]]] = {
     "leaderboard": (relative_to_oracle, draw_leaderboard),
     "oracles": (between_oracles, draw_oracles),
     "learning_curves": (Results.learning_curves, draw_learning_curves),
+    "cost": (cost_and_error, draw_cost),
 }

@@ -22,7 +22,8 @@ CURVES = {"blocktower": "3to3", "balls": "4to4", "collision": "all"}
 CURVE_METHODS = ("in", "in_sup", "cophynet", "alongside")
 CURVE_MEASURES = ("mse", "share", "twin_difference_explained")
 NAMES = ("scenario", "split", "model", "ablation", "positions", "size")
-TEXTS = (*NAMES, "variant", "datasets", "commit", "predictor")
+TEXTS = (*NAMES, "variant", "datasets", "commit", "predictor", "optimizer")
+FORMAT_4 = ROOT / "docs" / "results" / "results.csv"
 Run = dict[str, Any]
 
 
