@@ -39,7 +39,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from cophy.atomic_files import read_json
-from cophy.config import CONF
+from cophy.config import CONF, composed
 from cophy.errors import SAFE, CophyError, printable
 from cophy.schemas import register
 from cophy.training.run import FAILURE, SWEEP
@@ -186,6 +186,10 @@ PACKAGES = {  # first lines of the files in these groups; those of ablations and
     **dict.fromkeys(("loss", "optimizer", "schedule"), "training.{group}"),
     **{"callbacks": "training.callbacks.{name}", **dict.fromkeys(("logger", "metrics"), "{group}.{name}")},
 }
+NO_NAME = "Config group override must be a string or a list."  # Hydra's, of a choice that is no text
+# Hydra's, of several values without -m, as seed=0,1 and seed=range(3)
+NO_SWEEP = re.compile(r"Ambiguous value for argument '(.*)'|Sweep parameters '(.*)' requires --multirun")
+LISTS = ("num_objects", "metrics", "callbacks", "logger", "models", "splits", "compare", "render.modalities")  # keys
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
 OF_DISKS = (*FULL_DISK, errno.EIO, errno.EROFS, errno.EFBIG, errno.ESTALE)  # errors of writing may name no file
 OF_RESOLVER = "CophyError raised while resolving interpolation: "
@@ -225,15 +229,22 @@ def explain(error: BaseException) -> str:
         named = [f"{path.parent.name}={path.stem}" for path in CONF.glob("*/*.yaml") if path.stem == error.override]
         if named:
             return f"{error.override} is no override: {' or '.join(sorted(named))}?"
+        if list_of := re.match(r"([\w.]+)=\[", str(error.override)):
+            return _explain_list(list_of[1], str(error.override))
         return f"{error.override} is not key=value; a value with = , : or blanks needs two pairs of quotes: \"data_dir='/a=b'\""
+    if str(error).startswith(NO_NAME):
+        return _explain_no_name(error)
+    if match := NO_SWEEP.match(str(error)):
+        return _explain_no_sweep(match[1] or match[2])
     if match := IN_A_FILE.match(str(error)):
         return _explain_file(*match.group(1, 2, 3))
     if "Could not override 'confounders'" in str(error):
         return "confounders= does not go with this scenario, which has one grid; it goes with balls and collision"
     if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
         group, _, name = error.missing_cfg_file.rpartition("/")
-        choices = ", ".join(sorted(error.options))
-        return f"{group}={name} does not exist{_suggest(name, error.options)}; there are {choices}{OWN_FOLDER}"
+        options = _splits_of_scenario(error, error.options) if group == "split" else error.options
+        choices = ", ".join(sorted(options))
+        return f"{group}={name} does not exist{_suggest(name, options)}; there are {choices}{OWN_FOLDER}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if isinstance(cause, MissingMandatoryValue):
         node, block = cause.parent_node, str(cause.full_key).rpartition(".")[0]
@@ -250,6 +261,48 @@ def explain(error: BaseException) -> str:
             return what.removeprefix(OF_RESOLVER)
         return f"{cause.full_key or cause.key}: {what}{_suggest_key(str(cause.key), cause.parent_node)}"
     return " ".join(line.strip() for line in str(error).splitlines() if line.strip())
+
+
+def _explain_list(key: str, override: str) -> str:
+    if key == "compare" and "=" in override.removeprefix("compare="):
+        return f"{override}: no name in this list has =; changes are written as in the names of folders: cophynet+hidden_dim-8"
+    return f"{override}: in a list, a name with = : or blanks needs quotes of its own: \"{key}=['a=b',c]\""
+
+
+def _explain_no_name(error: BaseException) -> str:
+    """Return one line for a choice that is a number, as size=640."""
+    names = _locals_of(error, "override", "repo")
+    group, line = names["override"].key_or_group, names["override"].input_line
+    options = names["repo"].get_group_options(group, ObjectType.CONFIG)
+    if (value := line.partition("=")[2]) in options:
+        return f"{line}: a name that looks like a number needs two pairs of quotes: \"{group}='{value}'\""
+    return f"{line} does not exist; there are {', '.join(sorted(options))}{OWN_FOLDER}"
+
+
+def _explain_no_sweep(override: str) -> str:
+    key, _, value = override.partition("=")
+    if key.lstrip("+") in LISTS:
+        return f"{override}: a list needs brackets: '{key}=[{value}]'"
+    return f"{override}: several values are a sweep, a run each: add -m"
+
+
+def _splits_of_scenario(error: BaseException, options: Iterable[str]) -> list[str]:
+    """Return the splits of the chosen scenario, and those of the user; all of them where the scenario cannot be composed."""
+    overrides = _locals_of(error, "overrides", "run_mode").get("overrides", [])
+    scenario = [word for word in overrides if word.startswith("scenario=")]
+    try:
+        known = composed("generate", *scenario[-1:]).scenario.task.splits
+    except (HydraException, OmegaConfBaseException):
+        return [*options]
+    return [name for name in options if name in known or not (CONF / "split" / f"{name}.yaml").exists()]
+
+
+def _locals_of(error: BaseException, *names: str) -> dict[str, Any]:
+    """Return the variables of these names in the innermost function that an error came through and that has them all."""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    having = (frame.f_locals for frame in reversed(frames) if {*names} <= frame.f_locals.keys())
+    found = next(having, {})
+    return {name: found[name] for name in names if name in found}
 
 
 def _explain_slurm(error: BaseException) -> str:

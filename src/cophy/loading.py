@@ -8,7 +8,7 @@ from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 from torch import nn
 
-from cophy.cli import OWN_FOLDER, explain
+from cophy.cli import OWN_FOLDER, explain, is_user_error
 from cophy.config import experiments_of, settings
 from cophy.dataset import generation
 from cophy.dataset.archive import opened
@@ -83,9 +83,16 @@ def load(
         overrides["render.resolution"] = resolution
     try:
         config: TrainConfig = settings("train", *(f"{key}={value}" for key, value in overrides.items()))
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        if not is_user_error(error):
+            raise
         raise CophyError(explain(error).removesuffix(OWN_FOLDER)) from None  # Python has no such option
-    (experiments,) = experiments_of(config, [num_objects or config.split.train.num_objects])
+    count = num_objects or config.split.train.num_objects
+    counted = config.size.num_experiments.get(scenario, {})
+    if source == GENERATED and count not in (possible := [n for n in config.scenario.num_objects if str(n) in counted]):
+        choices = ", ".join(map(str, possible)) or "none"
+        raise CophyError(f"num_objects={count}: scenario={scenario} has {choices} in size={size}")
+    (experiments,) = experiments_of(config, [count])
     frames = experiments.frames(config.render, TEST if split == "test" else ALL_FRAMES) if images else None
     if root is not None and source == GENERATED:
         assert frames is None or isinstance(frames, Images)

@@ -219,6 +219,14 @@ MISTAKES = {
     "all": "all is no override: render=all or split=all?",
     "colision": "colision is not key=value",
     "lr=0.1": "lr: Key 'lr' not in 'TrainConfig' (did you mean training.learning_rate?)",
+    "size=640": "size=640 does not exist; there are 12k, paper, sample, small, tiny (your own folder: --config-dir)",
+    "scenario=blocktower split=3to5": "(did you mean 3to4?); there are 3to3, 3to3_seen, 3to3_unseen, 3to4, 4to3, 4to4, 4to4_unseen (",
+    "split=al scenario=collision": "(did you mean all?); there are all, cylinder_to_sphere, sphere_to_cylinder (",
+    "seed=0,1": "seed=0,1: several values are a sweep, a run each: add -m",
+    "seed=range(3)": "seed=range(3): several values are a sweep, a run each: add -m",
+    "logger=csv,tensorboard": "a list needs brackets: 'logger=[csv,tensorboard]'",
+    "compare=[a@size=640,in]": "no name in this list has =; changes are written as in the names of folders",
+    "models=[a=b]": "a name with = : or blanks needs quotes of its own: \"models=['a=b',c]\"",
     "scenario=balls split=all": "split=all does not go with balls: use 4to4, 4to2, 4to3, 4to5, 4to6",
     "hydra.job.chdir=true": "hydra.job.chdir=true: data_dir= and other relative paths would be of each run's folder",
     "hydra.job.name=x/y": "hydra.job_logging or hydra.job.name: Unable to configure handler 'file' ([Errno 2]",
@@ -265,6 +273,18 @@ def test_a_mistake_ends_composing_with_one_line(mistake: str) -> None:
     assert MISTAKES[mistake] in message
     assert "\n" not in message
     assert len(message) < 500
+
+
+def test_a_number_for_a_name_needs_quotes(tmp_path: Path) -> None:
+    path = tmp_path / "size" / "640.yaml"
+    path.parent.mkdir()
+    path.write_text("name: x\n")
+    with pytest.raises(ValueError, match="override must be a string") as caught:
+        settings("train", f"hydra.searchpath=[file://{tmp_path}]", "size=640")
+    assert is_user_error(caught.value)
+    assert (
+        explain(caught.value) == "size=640: a name that looks like a number needs two pairs of quotes: \"size='640'\""
+    )
 
 
 def test_a_wrong_value_of_a_right_key_gets_no_suggestion() -> None:

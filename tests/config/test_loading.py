@@ -90,7 +90,12 @@ def test_released_data_are_read_alike(tmp_path: Path) -> None:
         ({"split": "testing"}, "there are train, val, test"),
         ({"modalities": "rgb"}, r"a tuple of names, as \('rgb',\)"),
         ({"modalities": ("colour",)}, "there are states, rgb"),
-        ({"num_objects": 9}, "num_objects=9: scenario=balls has 2, 3, 4, 5, 6"),
+        ({"num_objects": 9}, "num_objects=9: scenario=balls has 2, 3, 4, 5, 6 in size=tiny$"),
+        (
+            {"size": "12k", "scenario": "blocktower", "num_objects": 4},
+            "num_objects=4: scenario=blocktower has 3 in size=12k$",
+        ),
+        ({"size": 640}, "size=640 does not exist; there are 12k, paper, sample, small, tiny$"),
         ({"scenario": "ball"}, r"did you mean balls\?\); there are balls, blocktower, collision$"),
         ({"source": "cophy"}, "needs source.root="),
         ({"resolution": 3}, "between 16 and 4096"),

@@ -1,6 +1,7 @@
 """From pictures to positions, to a predictor that sees them, and to a prediction from files."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from cophy.dataset.states import States
+from cophy.drawing.files import read_frames
 from cophy.training.trained import TrainedDerenderer
 from tests.commands import run, train
 from tests.conftest import tiny_spec
@@ -87,13 +89,20 @@ def test_from_pictures_to_a_counterfactual(tiny_data: Path, tmp_path: Path, monk
     states = arrays["states"][LOOK_EXPERIMENT, :, :: spec.scenario.clock.states_per_frame, :, :3]
     logit = np.where(arrays["presence"][LOOK_EXPERIMENT], 9.0, -9.0).astype(np.float32)
 
+    initial = read_frames(look / "CD")[0]
+
     def exact(derenderer: TrainedDerenderer, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        sequence = int(len(rgb) == 1)  # C
+        sequence = int(len(rgb) == 1 or (rgb[0] == initial).all())  # C or CD
         return states[sequence, : len(rgb)], np.broadcast_to(logit[sequence], (len(rgb), logit.shape[1]))
 
     monkeypatch.setattr(TrainedDerenderer, "__call__", exact)
     text = run("predict", *predicted)
     assert "presence 100.0 % in AB, reprojection error 0.0" in text
+    table = np.loadtxt(tmp_path / "predicted" / "positions.csv", delimiter=",", skiprows=1, usecols=(0, 2, 3, 4))
+    off = table[:, 1:].reshape(len(states[1]), -1, 3) - states[1][:, arrays["presence"][LOOK_EXPERIMENT, 1]]
+    mse = np.square(off[1:, :, : spec.scenario.task.metric_dims]).mean()
+    (printed,) = re.findall(r"MSE of the prediction (.*) m²", text)
+    assert float(printed) == pytest.approx(mse, rel=1e-3, abs=1e-4)
     assert "test error" not in text  # the predictor was trained on estimates
     assert (tmp_path / "predicted" / "prediction.gif").read_bytes()[:4] == b"GIF8"
     assert (tmp_path / "predicted" / "positions.csv").read_text().startswith("frame,object,x_m,y_m,z_m\n0,")

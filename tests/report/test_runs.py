@@ -38,6 +38,8 @@ def test_runs_that_differ_in_their_seed_alone_may_be_averaged() -> None:
     assert comparable_seeds(pd.DataFrame(seen))["seed"].tolist() == [1, 2]
     both = pd.DataFrame([*seen, measured("mse", 0.1, "cophynet", seed=5, epochs=120, derenderer="b")])
     assert comparable_seeds(both)["seed"].tolist() == [5]
+    copies = [measured("mse", 0.2, "copy_b", seed=seed, epochs=8 + seed, is_trained=False) for seed in (0, 1)]
+    assert comparable_seeds(pd.DataFrame(copies))["seed"].tolist() == [0, 1]
     sizes = pd.DataFrame(
         [measured("mse", 0.2, "in", size=name, num_train=n) for name, n in (("paper", 900), ("12k", 400))]
     )
@@ -91,6 +93,33 @@ def test_changes_have_whole_keys_and_are_of_the_data_or_the_method(tmp_path: Pat
     assert runs["data"].tolist() == ["data_seed=1", "", ""]
     assert runs["changes"].tolist() == [(("model.hidden_dim", "8"),), (("model.hidden_dim", "16"),), ()]
     assert runs["validation_mse"].tolist() == [0.5] * 3
+
+
+def test_keys_of_training_change_no_run_that_trained_nothing(tmp_path: Path) -> None:
+    epochs, jitter = {"trainer.max_epochs": "8"}, {"model.jitter": "2", "training.learning_rate": "0.1"}
+    places = {
+        "copy_b": ({"size": "tiny", **epochs}, {"size": "tiny"}, {"size": "tiny", "optimizer": "adam"}),
+        "noise": (epochs, jitter),
+        "trees": ({"training.num_experiments": "8"}, epochs),
+        "tested": (epochs, {}),
+        "in": (epochs, {}),
+    }
+    for model, runs_of_model in places.items():
+        for changes in runs_of_model:
+            variant = "".join(f"+{key.rpartition('.')[2]}-{value}" for key, value in changes.items())
+            facts = {
+                "training_seconds": 100.0 if model == "in" else 0.0,
+                "predictor": "x" if model == "tested" else None,
+            }
+            directory = tmp_path / "blocktower" / "3to3" / model / "full" / "ground_truth" / f"seed0{variant}"
+            leave(directory, json.dumps(content(model=model, variant=variant, changes=changes, **facts)))
+    runs = read_runs(tmp_path)
+    of = {model: sorted(zip(part["variant"], part["changes"], strict=True)) for model, part in runs.groupby("model")}
+    assert of["copy_b"] == [("+size-tiny", ())]
+    assert runs[runs["model"] == "copy_b"]["directory"].iloc[0].name == "seed0+size-tiny"
+    assert of["noise"] == [("", ()), ("+jitter-2", (("model.jitter", "2"),))]
+    assert of["trees"] == [("", ()), ("+num_experiments-8", (("training.num_experiments", "8"),))]
+    assert of["tested"] == of["in"] == [("", ()), ("+max_epochs-8", (("trainer.max_epochs", "8"),))]
 
 
 def test_filters_take_models_rows_and_splits_and_name_those_that_exist() -> None:

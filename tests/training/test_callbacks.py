@@ -1,13 +1,15 @@
 """The log shows the progress of a training if there is no progress bar."""
 
 import logging
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import torch
 
+from cophy.errors import CophyError
 from cophy.training import callbacks
-from cophy.training.callbacks import Stopwatch
+from cophy.training.callbacks import ResumeHint, Stopwatch
 
 
 @pytest.mark.parametrize(("seconds", "num_messages"), [(0.0, 3), (3600.0, 0)])
@@ -26,3 +28,22 @@ def test_progress_is_logged_at_intervals(
     assert len(caplog.messages) == num_messages
     if num_messages:
         assert caplog.messages[1].startswith("balls/4to4/in: epoch 2 of 3, val/mse 0.2500, ")
+
+
+@pytest.mark.parametrize(
+    ("error", "has_checkpoint", "logged"),
+    [
+        (KeyboardInterrupt(), False, "stopped in epoch 0, before the first checkpoint"),
+        (CophyError("metrics.x returns float"), False, ""),
+        (CophyError("metrics.x returns float"), True, "run the same command to continue"),
+    ],
+)
+def test_a_users_error_before_the_first_checkpoint_is_all_that_is_said(
+    error: BaseException, has_checkpoint: bool, logged: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "last.ckpt"
+    if has_checkpoint:
+        path.touch()
+    ResumeHint(path).on_exception(SimpleNamespace(current_epoch=0), None, error)
+    assert logged in caplog.text
+    assert bool(caplog.text) == bool(logged)

@@ -129,6 +129,26 @@ def test_a_finished_training_is_found_in_another_split(run: Run, tmp_path: Path)
     assert start_training(other, "same", reuse=False, ckpt=None).finished is None
 
 
+@pytest.mark.parametrize(
+    ("stored", "code", "said"),
+    [
+        ({}, "new", "other code, data or settings"),
+        ({"code": "old"}, "new", "other code (of cophy, or .py files beside your model or loss)"),
+        ({"code": "old"}, "old", "other data or settings, or another version of torch"),
+    ],
+)
+def test_a_finished_training_is_not_made_again_without_a_word(
+    stored: dict[str, str], code: str, said: str, run: Run, caplog: pytest.LogCaptureFixture
+) -> None:
+    message = f"the results in {run.directory} are of {said}: it trains again"
+    for is_reused, messages in ((True, [message]), (False, [])):
+        leave_checkpoints(run)
+        record_finished(run, "same", FACTS | stored)
+        assert start_training(run, "another", reuse=is_reused, ckpt=None, code=code).finished is None
+        assert caplog.messages == messages
+        caplog.clear()
+
+
 def test_an_interrupted_training_continues_only_with_the_same_fingerprint(run: Run) -> None:
     assert start_training(run, "same", reuse=True, ckpt=None) == (None, None, 0, False)
     for resumed in (1, 2):

@@ -86,6 +86,22 @@ def test_a_prediction_that_is_not_finite_stops_the_training(
         module.validation_step(tower_batch)
 
 
+def test_an_output_that_does_not_depend_on_parameters_stops_the_training(tower_batch: Batch) -> None:
+    class Detached(CopyC):
+        def __init__(self) -> None:
+            super().__init__()
+            self.linear = nn.Linear(3, 3)
+
+        def forward(self, inputs: Inputs) -> Prediction:
+            copied = super().forward(inputs)
+            return replace(copied, position=self.linear(copied.position).detach())
+
+    trainer = L.Trainer(max_epochs=1, num_sanity_val_steps=0, **QUIET)
+    batches = DataLoader([tower_batch], batch_size=None)
+    with pytest.raises(CophyError, match="Detached: the loss does not depend on its parameters"):
+        trainer.fit(module_of(Detached()), batches, batches)
+
+
 def test_a_promised_estimate_is_asked_for(tower_batch: Batch) -> None:
     class Promising(CopyC):
         estimate_dim = 8

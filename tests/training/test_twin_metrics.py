@@ -74,6 +74,17 @@ def test_a_model_without_ab_explains_nothing_and_chooses_by_chance(
     assert means["right_twin_chosen"] == 0.5
 
 
+def test_an_experiment_without_its_twin_is_left_out_without_a_warning() -> None:
+    targets = two_pairs()
+    targets = replace(targets, pair=torch.tensor([0, 0, 1, 2]))
+    metrics = twin_collection(3, "")
+    metrics.update(Prediction(targets.position), targets)
+    assert {name: float(value) for name, value in metrics.compute().items()} == {
+        "twin_difference_explained": 1.0,
+        "right_twin_chosen": 1.0,
+    }
+
+
 def test_the_truth_explains_everything(tower_batch: Batch, scenario_of) -> None:
     means = scored(Prediction(tower_batch.targets.position), tower_batch.targets, scenario_of("blocktower")).means()
     assert means["twin_difference_explained"] == 1.0

@@ -19,7 +19,7 @@ def main(cfg: DictConfig) -> None:
     from cophy.drawing.files import read_frames
     from cophy.training.checkpoints import import_network_class
     from cophy.training.reprojection import in_words, to_csv
-    from cophy.training.trained import TrainedDerenderer, TrainedPredictor, check_pair, predict
+    from cophy.training.trained import TrainedDerenderer, TrainedPredictor, check_pair, error_in_images, predict
 
     settings = to_config(cfg, PredictConfig)
     derenderer = TrainedDerenderer(Path(settings.derenderer))
@@ -42,6 +42,9 @@ def main(cfg: DictConfig) -> None:
         log.info(line)
     if predictor.positions != "derendered" and (error := derenderer.test_error()):
         log.info("the predictor was trained on true positions; the de-renderer's test error is %s", error)
+    if truth is not None:
+        error_m2 = error_in_images(prediction, truth, derenderer, scenario.task.metric_dims)
+        log.info("MSE of the prediction %.4f m², against what the de-renderer finds in truth=", error_m2)
     names = [name for name, present in zip(scenario.colors, prediction.presence, strict=True) if present]
     log.info(
         "%s: positions.csv, objects.csv, prediction.gif and strip.png; objects in C: %s", directory, ", ".join(names)

@@ -133,14 +133,14 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
         )
         if not config.trainer.fast_dev_run:
             run.delete_earlier_results()
-        start = find_start(config, run, training_hash, trainer, network)
+        start = find_start(config, run, (training_hash, code), trainer, network)
         prepare_loggers(trainer, run, origin, arguments, start)
 
         if start.finished is None:
             facts = fit(trainer, module, data, start.checkpoint) | {"resumed": start.resumed}
             tested = None if config.trainer.fast_dev_run else run.checkpoints / "best.ckpt"
             if tested is not None and is_rank_zero():
-                record_finished(run, training_hash, facts)
+                record_finished(run, training_hash, facts | {"code": code})
         else:
             facts, tested = start.finished, start.checkpoint
             # also draws the validation figures of a training that is not repeated
@@ -176,7 +176,9 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     return facts["validation"]
 
 
-def find_start(config: TrainConfig, run: Run, training_hash: str, trainer: "Trainer", network: "nn.Module") -> "Start":
+def find_start(
+    config: TrainConfig, run: Run, hashes: tuple[str, str], trainer: "Trainer", network: "nn.Module"
+) -> "Start":
     """Decide whether a run trains, resumes, or only tests.
 
     It only tests if the model has no parameters, predictor= is set, or the same training has finished.
@@ -184,7 +186,7 @@ def find_start(config: TrainConfig, run: Run, training_hash: str, trainer: "Trai
     Args:
         config: The configuration.
         run: The run.
-        training_hash: Fingerprint of its training.
+        hashes: Fingerprint of its training, and that of its code.
         trainer: Rank 0 decides for all processes.
         network: The model.
     """
@@ -196,8 +198,9 @@ def find_start(config: TrainConfig, run: Run, training_hash: str, trainer: "Trai
         return Start(untrained, path_of(config.predictor))
     if config.trainer.fast_dev_run:
         return Start(None, path_of(config.ckpt), keeps_curves=True)
-    reuse = config.reuse or was_requeued()
-    return decide_first(trainer, lambda: start_training(run, training_hash, reuse=reuse, ckpt=path_of(config.ckpt)))
+    wanted, code = hashes
+    keys: dict[str, Any] = {"reuse": config.reuse or was_requeued(), "ckpt": path_of(config.ckpt), "code": code}
+    return decide_first(trainer, lambda: start_training(run, wanted, **keys))
 
 
 def check_checkpoints(config: TrainConfig, origin: dict[str, Any], network: "nn.Module", name: str) -> None:

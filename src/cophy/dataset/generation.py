@@ -23,7 +23,7 @@ from cophy.locks import NoLocksError, locked
 from cophy.workers import worker_pool
 
 PATIENCE_S = 30  # until a warning that there is no first experiment yet
-LONG_S = 300  # CPU-seconds from which an estimate is printed first
+LONG_S = 30  # CPU-seconds from which an estimate is printed first
 log = logging.getLogger(__name__)
 _num_completed: "Synchronized[int]"  # experiments completed so far, shared by the workers of one run
 

@@ -29,6 +29,9 @@ CHECKPOINTS = ("derenderer", "predictor")  # hashes of checkpoints that the user
 VARIANT = re.compile(r"(\+[\w.+-]+)?")
 KEY = re.compile(r"[\w./@-]+")
 DATA_KEYS = ("data_seed", "confounders", "source_scenario", "scenario.", "size.", "split.")  # how keys of data begin
+# how keys begin that matter to a training alone, and those of them that also matter to a model that is not trained
+OF_TRAINING = ("trainer", "training.", "optimizer", "schedule", "loss")
+OF_TESTS = ("training.num_experiments", "trainer.precision", "trainer.limit_test_batches")
 ERROR = re.compile(r"\w+:")  # the start of a failed run's error; so it is no formula of a spreadsheet either
 MAX_NAME, MAX_ERROR = 255, 2000  # characters
 # parts of a variant that leave a run in a paper's table: captions name the size, the epochs and the de-renderer
@@ -173,7 +176,7 @@ def read_runs(outputs: Path) -> pd.DataFrame:
         outputs: Where train.py wrote its runs.
 
     Returns:
-        One line per run: names, directory, counts, epochs, metric_dims, validation_mse, inputs (optional ones that the model
+        One line per run, but of runs without a training that differ in keys of training alone, one: names, directory, counts, epochs, metric_dims, validation_mse, inputs (optional ones that the model
         sees), every test metric and its interval (see `read_line`). `data` is what the run changes in its data, as text, and
         `changes` what else it changes (key, value). A failed run has its `error` instead of results; `error` is None for the
         others. `attrs`: how many runs are `unused`, because they cannot be read.
@@ -194,14 +197,41 @@ def read_runs(outputs: Path) -> pd.DataFrame:
     }
     for line in lines:
         changes = {whole.get(key, key): value for key, value in line["changes"].items()}
+        if line.get("is_trained") is False:
+            changes, line["variant"] = _without_training(changes, line["variant"])
         line["data"] = ", ".join(f"{key}={changes[key]}" for key in changes if key.startswith(DATA_KEYS))
         line["changes"] = tuple((key, value) for key, value in changes.items() if not key.startswith(DATA_KEYS))
     if elsewhere := len(set(outputs.rglob(METRICS)).difference(paths)):
         text = f"{elsewhere} runs below {outputs} are not where train.py puts them and are not read (hydra.run.dir=)."
         log.info(notice(text))
-    table = pd.DataFrame(lines)
+    table = pd.DataFrame(_different(lines))
     table.attrs["unused"] = unused
     return table
+
+
+def _without_training(changes: dict[str, str], variant: str) -> tuple[dict[str, str], str]:
+    """Return changes and variant of a run that trained nothing without the keys that matter to a training alone."""
+    parts = [part for part in variant.split("+")[1:] if not part.startswith("size-")]
+    if len(parts) != len(changes):  # it was too long and ends in a hash
+        return changes, variant
+    unused = {key for key in changes if key.startswith(OF_TRAINING) and key not in OF_TESTS}
+    left_out = [part for key, part in zip(changes, parts, strict=True) if key in unused]
+    kept = [part for part in variant.split("+")[1:] if part not in left_out]
+    return {key: changes[key] for key in changes if key not in unused}, "".join(f"+{part}" for part in kept)
+
+
+def _different(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the lines without those of untrained runs that are the same run as another line, with more changed keys."""
+    kept: dict[Any, dict[str, Any]] = {}
+    for line in lines:
+        is_same_as = line["directory"]
+        if line.get("is_trained") is False:
+            names = (*(line[name] for name in PLACE), f"seed{line['seed']}{line['variant']}", *line["dataset_ids"])
+            is_same_as = names
+        other = kept.setdefault(is_same_as, line)
+        if len(line["directory"].name) < len(other["directory"].name):
+            kept[is_same_as] = line
+    return [*kept.values()]
 
 
 def filter_runs(runs: pd.DataFrame, models: Sequence[str], splits: Sequence[str]) -> pd.DataFrame:
@@ -276,7 +306,8 @@ def comparable_seeds(runs: pd.DataFrame) -> pd.DataFrame:
     """
     if len(runs) == 1:
         return runs
-    longest = runs if runs["epochs"].isna().all() else runs[runs["epochs"] == runs["epochs"].max()]
+    is_trained = runs["epochs"].notna().any() and ("is_trained" not in runs or runs["is_trained"].any())
+    longest = runs[runs["epochs"] == runs["epochs"].max()] if is_trained else runs
     if "derenderer" not in longest or longest["derenderer"].nunique() < 2:
         return longest
     return longest[longest["derenderer"] == longest["derenderer"].mode().iloc[0]]

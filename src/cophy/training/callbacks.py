@@ -16,6 +16,8 @@ from lightning.pytorch.utilities.exceptions import SIGTERMException
 from torch.nn.utils import get_total_norm
 from torch.optim import Optimizer
 
+from cophy.errors import CophyError
+
 log = logging.getLogger(__name__)
 
 LOG_EVERY_S = 30.0  # ours: the log of a training of minutes or hours stays readable
@@ -108,7 +110,7 @@ class ResumeHint(L.Callback):
             log.warning(
                 "stopped in epoch %d: run the same command to continue from %s", trainer.current_epoch, self.checkpoint
             )
-        else:
+        elif not isinstance(exception, CophyError):  # whose one line says what to do
             log.warning("stopped in epoch %d, before the first checkpoint", trainer.current_epoch)
 
 

@@ -63,8 +63,8 @@ def _checked_values(
 class ExperimentMean(MeanMetric, Generic[PredictionT, TargetT]):
     """Mean over experiments of a value per experiment."""
 
-    def __init__(self, measure: Callable[[PredictionT, TargetT], Tensor]) -> None:
-        super().__init__()
+    def __init__(self, measure: Callable[[PredictionT, TargetT], Tensor], *, skips_nan: bool = False) -> None:
+        super().__init__(nan_strategy="ignore" if skips_nan else "warn")
         self.measure = measure
 
     def update(self, prediction: PredictionT, truth: TargetT) -> None:  # type: ignore[override]
@@ -221,7 +221,8 @@ class TwinDifferenceExplained(Metric):
 def twin_collection(dims: int, prefix: str) -> MetricCollection:
     """Return a torchmetrics collection of both metrics of twins, over batches in which twins follow each other."""
     right_twin: ExperimentMean[Prediction, Targets] = ExperimentMean(
-        lambda prediction, targets: right_twin_chosen(prediction, targets, dims)
+        lambda prediction, targets: right_twin_chosen(prediction, targets, dims),
+        skips_nan=True,  # of experiments without a twin
     )
     metrics: dict[str, Metric | MetricCollection] = {
         "twin_difference_explained": TwinDifferenceExplained(dims),

@@ -213,7 +213,13 @@ class PredictionModule(L.LightningModule):
             batch = add_position_noise(batch, noise, draw, share) if noise else batch
         prediction = self(batch)
         self._measure("train", prediction, batch)
-        return self._loss("train", prediction, batch)
+        loss = self._loss("train", prediction, batch)
+        if not loss.requires_grad and any(each.requires_grad for each in self.parameters()):
+            raise CophyError(
+                f"{type(self.network).__name__}: the loss does not depend on its parameters, so nothing can be trained: look "
+                "for .detach(), .data, torch.no_grad() or NumPy in the model, and in a loss of your own"
+            )
+        return loss
 
     def on_validation_epoch_start(self) -> None:
         self.mse_of_cells.reset()

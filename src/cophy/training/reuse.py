@@ -102,7 +102,7 @@ def fingerprint(
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> Start:
+def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, code: str | None = None) -> Start:
     """Find a finished or interrupted training with this fingerprint; otherwise make room for a new one.
 
     Args:
@@ -110,11 +110,14 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> 
         wanted: Fingerprint of its training.
         reuse: Whether earlier trainings are looked for.
         ckpt: The checkpoint (ckpt=) that the training starts from.
+        code: See `hash_code`; says whether a finished training in the folder is of other code.
     """
     if reuse and (checkpoints := _find_finished(run, wanted)) is not None:
         log.info("already trained on the same data with the same settings: %s (reuse=false trains again)", checkpoints)
         is_own = checkpoints.resolve() == run.checkpoints.resolve()
         return Start(_adopt(checkpoints, run), run.checkpoints / "best.ckpt", keeps_curves=is_own)
+    if reuse and (finished := _read(run.checkpoints, FINISHED)).get("fingerprint", wanted) != wanted:
+        log.warning("the results in %s are of %s: it trains again", run.directory, _difference(finished, code))
     last, stopped = run.checkpoints / "last.ckpt", _read(run.checkpoints, BEGUN)
     if reuse and stopped.get("fingerprint") == wanted and _is_complete(run.checkpoints):
         log.info("continues where it stopped: %s (reuse=false trains again)", last)
@@ -139,7 +142,7 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None) -> 
 
 
 def record_finished(run: Run, wanted: str, facts: dict[str, Any]) -> None:
-    """Store the fingerprint and facts of a finished training: what `trainer.fit` returns, and resumed."""
+    """Store the fingerprint and facts of a finished training: what `trainer.fit` returns, resumed, and code (`hash_code`)."""
     _write(run.checkpoints, FINISHED, {"fingerprint": wanted, **facts})
     (run.checkpoints / BEGUN).unlink(missing_ok=True)
 
@@ -154,6 +157,15 @@ def _find_finished(run: Run, wanted: str) -> Path | None:
         if _read(checkpoints, FINISHED).get("fingerprint") == wanted and _is_complete(checkpoints):
             return checkpoints
     return None
+
+
+def _difference(finished: dict[str, Any], code: str | None) -> str:
+    """Return in words what differs from a finished training."""
+    if (stored := finished.get("code")) is None or code is None:  # earlier versions did not store it
+        return "other code, data or settings"
+    if stored != code:
+        return "other code (of cophy, or .py files beside your model or loss)"
+    return "other data or settings, or another version of torch"
 
 
 def _adopt(checkpoints: Path, run: Run) -> dict[str, Any]:

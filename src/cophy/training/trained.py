@@ -281,6 +281,26 @@ def predict(
     return Counterfactual(positions[0], inputs.presence[0].numpy(), *evidence)
 
 
+def error_in_images(
+    prediction: Counterfactual, truth: np.ndarray, derenderer: TrainedDerenderer, metric_dims: int
+) -> float:
+    """Return the MSE of a prediction, m², against what the de-renderer finds in images of the true CD.
+
+    Args:
+        prediction: The prediction.
+        truth: (T, R, R, 3) uint8 frames of CD, of which the first shows C.
+        derenderer: Finds the objects in them; where it finds none, nothing is counted.
+        metric_dims: Coordinates that count.
+
+    Returns:
+        NaN if it finds no object of the prediction in any frame.
+    """
+    position, logit = derenderer(truth)
+    error = np.square(prediction.positions - position)[1:, :, :metric_dims].mean(axis=-1)
+    counted = (logit[1:] > 0) & prediction.presence
+    return float(error[counted].mean()) if counted.any() else float("nan")
+
+
 def see(
     observed: np.ndarray, initial: np.ndarray, derenderer: TrainedDerenderer, scenario: Scenario
 ) -> tuple[Inputs, Evidence, Evidence]:
