@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from hydra.errors import HydraException
 from scipy.stats import false_discovery_control, kstest, ttest_1samp, ttest_ind
 
 from cophy.bootstrap import Ratio
+from cophy.cli import explain
+from cophy.config import settings
 from cophy.errors import CophyError
 from cophy.report.comparisons import _signed, compare_methods, count_tables, difference, write_comparisons
 from cophy.scoring import Scores
@@ -173,3 +176,9 @@ def test_too_few_clusters_are_counted(tmp_path: Path, capsys: pytest.CaptureFixt
     write_comparisons(tmp_path, tmp_path / "report", ["cophynet", "copy_c"])
     printed = " ".join(capsys.readouterr().out.split())
     assert "Too few clusters of test experiments: 2; intervals and tests need 6 or more." in printed
+
+
+def test_a_single_name_is_advised_a_second() -> None:
+    with pytest.raises(HydraException) as refused:
+        settings("report", "compare=in")
+    assert explain(refused.value) == "compare=in must be a list: 'compare=[in,another]'"
