@@ -29,11 +29,12 @@ def test_the_table_holds_the_numbers_of_metrics_json(tiny_data: Path, tmp_path: 
     for model, text in printed.items():
         mse, (low, high) = found[model]["metrics"]["mse"], found[model]["intervals"]["mse"]
         assert low == high == mse  # tiny data have a single cluster
-        assert line(text, "MSE, m², with 95 % interval") == f"{mse:.4f}"
+        assert line(text, "MSE, m²") == f"{mse:.4f}"
         assert line(text, "copy C: nothing moves") == f"{found['copy_c']['metrics']['mse']:.4f}"
         assert line(text, "copy B: the do-operation changes nothing") == f"{found['copy_b']['metrics']['mse']:.4f}"
         explained = found[model]["metrics"]["twin_difference_explained"]
         assert line(text, "Explained part of the twins' difference") == f"{explained:.1%}"
+        assert f"{model} (full) on collision all, seed 0" in " ".join(text.split())
         assert f"Results: {tmp_path}" in text
         assert "Share" not in text
     assert line(printed["copy_c"], "the paper's number of this row, from more experiments") == "4.370"

@@ -30,3 +30,17 @@ def test_bands_are_drawn_where_they_are_known() -> None:
     )
     assert len(figure.axes[0].collections) == 1
     assert figure.legends[0].get_texts()[-1].get_text() == "95 % interval\nover clusters"
+
+
+def test_title_and_legend_of_trajectories_touch_nothing() -> None:
+    initial = np.random.default_rng(0).normal(size=(2, 2, 3))
+    true = initial[:, None] + np.array([1.0, 1.0, 0.0]) * np.arange(4)[:, None, None]
+    title, headings = "CoPhyNet, seed 0\ncollision, all\nsize tiny", ["twin 1", "twin 2"]
+    figure = draw_trajectories(
+        initial, true, true, np.ones((2, 2), bool), colors=["red", "blue"], title=title, headings=headings
+    )
+    figure.draw_without_rendering()
+    axis, point = figure.axes[0], figure.dpi / 72
+    suptitle, legend = figure.texts[0].get_window_extent(), figure.legends[0].get_window_extent()
+    assert suptitle.y0 - axis.title.get_window_extent().y1 > 5 * point
+    assert axis.xaxis.label.get_window_extent().y0 - legend.y1 > 5 * point

@@ -6,11 +6,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from hydra.errors import HydraException
 from scipy.stats import false_discovery_control, kstest, ttest_1samp, ttest_ind
 
 from cophy.bootstrap import Ratio
+from cophy.cli import explain
+from cophy.config import settings
 from cophy.errors import CophyError
-from cophy.report.comparisons import compare_methods, count_tables, difference, write_comparisons
+from cophy.report.comparisons import _signed, compare_methods, count_tables, difference, write_comparisons
 from cophy.scoring import Scores
 from tests.report.lines import scores_of_mse
 from tests.report.stored_runs import PLACE, content, leave
@@ -151,8 +154,31 @@ def test_all_pairs_are_written_and_those_of_the_first_method_printed(
     assert max(map(len, printed.splitlines())) <= 80
     markdown, latex = ((tmp_path / "report" / f"comparisons.{kind}").read_text() for kind in ("md", "tex"))
     assert "Copy C vs NPE: MSE" in markdown
-    assert latex.count(r"\toprule") == markdown.count("## ") == 8
-    assert "-3.000* [-3.000, -3.000]" in markdown
+    assert markdown.count("## ") == 8  # 3 pairs and a count for each measure
+    assert latex.count(r"\toprule") == 4
+    assert latex.count("Difference: first") == markdown.count("Difference: first") == 1
+    assert "intervals are not corrected" in markdown
+    assert "Copy C vs NPE & 4.000 & 1.000 & +3.000$^*$ & $<$ 0.001" in latex
+    assert "-3.000*" in markdown  # without an interval that has no width
+    assert "-3.000, -3.000" not in markdown
     frame = pd.read_csv(tmp_path / "report" / "comparisons.csv")
     mse = frame[frame["measure"] == "mse"]
     assert mse["p_adjusted"].to_numpy() == pytest.approx(false_discovery_control(mse["p"]))
+
+
+def test_rounding_hides_no_sign() -> None:
+    assert [_signed(value, 3) for value in (-0.00047, 0.0123, 0.0, -1e-17)] == ["-0.0005", "0.012", "0.000", "0.000"]
+    assert _signed(0.00002, 3, "+") == "+0.00002"
+
+
+def test_too_few_clusters_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    leave_runs(tmp_path, cophynet=1.0, copy_c=2.0)
+    write_comparisons(tmp_path, tmp_path / "report", ["cophynet", "copy_c"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "Too few clusters of test experiments: 2; intervals and tests need 6 or more." in printed
+
+
+def test_a_single_name_is_advised_a_second() -> None:
+    with pytest.raises(HydraException) as refused:
+        settings("report", "compare=in")
+    assert explain(refused.value) == "compare=in must be a list: 'compare=[in,another]'"

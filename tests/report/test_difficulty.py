@@ -134,3 +134,12 @@ def test_page_and_figures_say_what_they_show(arrays: dict[str, np.ndarray], tmp_
     assert name == "difficulty-blocktower-3to3-tiny"
     titles = [axis.get_title().replace("\n", " ") for axis in figure.axes if axis.axison]
     assert titles == ["cell: outcome of AB, of CD", *list(TITLES.values())[2:]]
+
+
+def test_an_interval_without_width_is_left_out(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
+    found = broken_down([finished_run(arrays, tmp_path)], arrays)
+    alone = found.assign(low=found["mse"], high=found["mse"])
+    alone = alone.assign(explained_low=found["explained"], explained_high=found["explained"])
+    tables = page(alone, {"blocktower": SPEC.scenario}).split("##")[1]
+    assert f"{found['mse'].iloc[0]:.3f}" in tables
+    assert "[" not in tables

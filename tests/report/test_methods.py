@@ -138,3 +138,10 @@ def test_splits_have_the_names_of_print() -> None:
 def test_a_dash_is_where_nothing_was_run() -> None:
     (table,) = tables(measured("mse", 0.3, "in"), measured("mse", 0.3, "npe", split="3to4"))
     assert table.cells.loc["IN", "3→4"] == Cell("—")
+
+
+def test_an_interval_has_a_width_and_a_deviation_may_be_zero() -> None:
+    same = [measured("mse", 0.3, "cophynet", seed=seed) | {"low.mse": 0.3, "high.mse": 0.3} for seed in (0, 1)]
+    copies = [measured("mse", 0.3, "copy_c", seed=seed, is_trained=False) for seed in (0, 1)]  # no random seed
+    (table,) = tables(*same, *copies)
+    assert texts(table)["3→3"].to_dict() == {"Copy C": "0.300 [0.290, 0.320]", "CoPhyNet": "0.300 ± 0.000"}

@@ -1,10 +1,13 @@
 """On the terminal no line is too long, and no word and no number is broken."""
 
+import os
+import signal
+
 import pandas as pd
 import pytest
 
 from cophy.report.paper_tables import paper_tables
-from cophy.report.render import Cell, TextTable, filled_only, latex, show, table_cells
+from cophy.report.render import Cell, TextTable, filled_only, interval, latex, show, table_cells, to_latex
 from cophy.report.runs import notice
 from cophy.report.tables import fill
 from tests.report.lines import measured
@@ -87,3 +90,43 @@ def test_latex_breaks_wide_tables_into_blocks_and_long_ones_into_pages() -> None
 def test_a_notice_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     assert max(map(len, notice("a sentence of words " * 20).splitlines())) <= 80
+
+
+def test_latex_leaves_out_what_failed() -> None:
+    cells = pd.DataFrame({"a": [Cell("0.1"), Cell("failed")], "b": [Cell("failed"), Cell("failed")]}, index=["x", "y"])
+    text = latex_of(cells)
+    assert "failed" not in text
+    assert [line for line in text.splitlines() if line.endswith(r"\\")] == [r" & a \\", r"x & 0.1 \\"]
+    assert latex_of(cells[["b"]]) == ""
+
+
+def test_latex_has_minus_signs_and_breaks_keys() -> None:
+    cells = pd.DataFrame({"a": [Cell("-28.8", "± 1.0", "[-30.1, -0.5]")]}, index=["copy-2 lr=1e-05 shift=-1"])
+    text = latex_of(cells)
+    assert r"$-$28.8 $\pm$ 1.0" in text
+    assert "[$-$30.1, $-$0.5]" in text
+    assert r"copy-2 lr=\allowbreak{}1e-05 shift=\allowbreak{}$-$1" in text
+    assert to_latex("collision.2=640, 0.5.") == r"collision.\allowbreak{}2=\allowbreak{}640, 0.5."
+
+
+def test_long_latex_tables_may_keep_their_intervals() -> None:
+    long = pd.DataFrame({"all": [Cell("0.123", interval="[0, 1]")] * 90}, index=[f"m{n}" for n in range(90)])
+    text = latex(TextTable("x", "title", long, ""), keep_intervals=True)
+    assert text.count("[0, 1]") == 90
+    assert text.count(r"\begin{table}") > 3
+
+
+def test_an_interval_has_no_negative_zero() -> None:
+    assert interval(-0.0001, 0.2, ".3f") == "[0.000, 0.200]"
+    assert interval(-0.001, 0.2, ".0%") == "[0%, 20%]"
+    assert interval(0.2, 0.2, ".3f") == interval(float("nan"), 0.2, ".3f") == ""
+
+
+def test_a_closed_output_ends_the_program_as_it_ends_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as closed, monkeypatch.context() as context:
+        context.setattr("sys.stdout", closed)
+        with pytest.raises(SystemExit) as end:
+            show("A table", pd.DataFrame({"a": ["b"]}, index=["x"]))
+    assert end.value.code == 128 + signal.SIGPIPE

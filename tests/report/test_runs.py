@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from cophy.commands.report import ComposedData
 from cophy.errors import CophyError
@@ -292,6 +293,41 @@ def test_tables_are_written_before_they_are_printed(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(pipeline.Report, "show", refuse)
     unused: Any = None
+    supplement = pipeline.Supplement(figures={"study-a": Figure()})
+    configurations = pipeline.Configurations(unused, unused, None, no_dataset)
     with pytest.raises(BrokenPipeError):
-        pipeline.write_report(tmp_path, tmp_path / "report", pipeline.Configurations(unused, unused, None, no_dataset))
+        pipeline.write_report(tmp_path, tmp_path / "report", configurations, supplement)
+    assert (tmp_path / "report" / "figures" / "study-a.pdf").exists()  # the output is closed, not the files
     assert "ValueError: boom" in (tmp_path / "report" / "runs.csv").read_text()
+
+
+def test_only_what_an_earlier_report_wrote_is_removed(tmp_path: Path) -> None:
+    leave_failure(tmp_path / PLACE, "ValueError: boom")
+    figures = tmp_path / "report" / "figures"
+    figures.mkdir(parents=True)
+    earlier = ["figures/sweep-x-0.5.png", "figures/sweep-x-0.5.pdf", "collision.csv", "difficulty.md"]
+    others = ["figures/sweep-mine.png", "figures/mine.png", "figures/mine.pdf", "mine.csv", "comparisons.tex"]
+    for name in (*earlier, *others):
+        (tmp_path / "report" / name).touch()
+    unused: Any = None
+    configurations = pipeline.Configurations(unused, unused, None, no_dataset)
+    supplement = pipeline.Supplement(figures={"study-a": Figure()})
+    view = pipeline.View(paper=False)
+    pipeline.write_report(tmp_path, tmp_path / "report", configurations, supplement, view)
+    left = {path.relative_to(tmp_path / "report").as_posix() for path in (tmp_path / "report").rglob("*.*")}
+    written = ["tables.md", "tables.tex", "document.tex", "runs.csv", "methods.csv"]
+    assert left == {*others, *written, "figures/study-a.png", "figures/study-a.pdf"}
+
+
+@pytest.mark.parametrize("below", ["blocktower", "blocktower/3to3", "."])
+def test_a_folder_within_that_of_all_runs_is_not_enough(
+    below: str, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level("INFO")
+    leave(tmp_path / "runs" / PLACE, json.dumps(content()))
+    monkeypatch.chdir(tmp_path)
+    outputs, unused = Path("runs") / below if below != "." else Path("."), None
+    configurations = pipeline.Configurations(unused, unused, None, no_dataset)  # type: ignore[arg-type]
+    with pytest.raises(CophyError, match=rf"outputs={outputs}: .* below runs: outputs=runs$"):
+        pipeline.write_report(outputs, tmp_path / "report", configurations)
+    assert caplog.text == ""

@@ -3,11 +3,12 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from cophy.report.methods import method_cells
-from cophy.report.sweeps import Sweep, draw_sweep, find_sweeps, sweep_table
-from tests.report.lines import measured
+from cophy.report.sweeps import BEST, OTHERS, Sweep, _ticks, draw_sweep, find_sweeps, finished_sweeps, sweep_table
+from tests.report.lines import measured, run
 
 
 def setting(
@@ -32,7 +33,7 @@ def test_a_sweep_has_a_table_with_the_best_by_validation_marked() -> None:
     assert table.cells.index.tolist() == ["0.5", "2", "10"]
     assert table.cells.index.name == "scale"
     texts = table.cells.map(lambda cell: cell.text(("**", "**"), interval=False))
-    assert texts["validation MSE (m²)"].tolist() == ["0.800", "0.900", "**0.700***"]
+    assert texts["validation MSE (m²)"].tolist() == ["0.800", "0.900", "**0.700*** ± 0.000"]
     assert texts["test MSE (m²)"].tolist() == ["0.200", "0.100", "**0.400*** ± 0.141"]
 
 
@@ -68,8 +69,12 @@ def test_a_figure_draws_mse_over_each_numeric_key_with_bands() -> None:
     assert (scale.get_xlabel(), scale.get_xscale(), scale.get_ylabel()) == ("scale", "log", "MSE (m²)")
     assert (width.get_xlabel(), width.get_xscale()) == ("width", "linear")
     lines = {str(line.get_label()): line for line in scale.lines if not str(line.get_label()).startswith("_")}
-    assert list(lines) == ["validation, ± sd over seeds", "test, ± sd over seeds"]
+    assert [*lines] == [OTHERS, "validation, ± sd over seeds", "test, ± sd over seeds", BEST]
     assert [float(x) for x in lines["test, ± sd over seeds"].get_xdata()] == [1.0, 2.0, 20.0]
+    assert [text.get_text() for text in scale.get_xticklabels()] == ["1", "2", "20"]
+    assert [text.get_text() for text in width.get_xticklabels()] == ["8", "16"]
+    assert np.ravel(lines[BEST].get_xdata()).tolist() == [float(sweep.settings.loc[sweep.best, "model.scale"])] * 2
+    assert {OTHERS, BEST} <= {text.get_text() for text in figure.legends[0].get_texts()}
     assert len(scale.collections) == 2  # bands
 
 
@@ -84,3 +89,22 @@ def test_without_validation_nothing_is_marked() -> None:
     table = sweep_table(sweep)
     assert "*" not in table.caption
     assert table.cells["validation MSE (m²)"].map(lambda cell: cell.ours).tolist() == ["—", "—"]
+
+
+def test_ticks_are_at_values_and_leave_each_other_room() -> None:
+    assert _ticks([16.0, 32.0], is_log=False) == [16.0, 32.0]
+    assert _ticks([1.0, 1.1, 5.0, 9.0], is_log=False) == [1.0, 5.0, 9.0]
+    assert _ticks([0.001, 0.01, 0.1], is_log=True) == [0.001, 0.01, 0.1]
+
+
+def test_keys_that_only_failed_runs_change_are_in_no_latex(tmp_path: Path) -> None:
+    done = [setting(0.1 + n, 0.1, scale=str(n)) for n in (1, 2)]
+    failed = [run("drift", error="boom", variant="+kind-a", changes=(("model.kind", "a"),))]
+    for n, line in enumerate([*done, *failed]):
+        line |= {"directory": tmp_path / str(n)}
+    cells = method_cells(pd.DataFrame([*done, *failed]))
+    (sweep,) = find_sweeps(cells)
+    assert {*sweep.keys} == {"model.scale", "model.kind"}
+    (in_latex,) = finished_sweeps(cells)
+    assert in_latex.keys == ("model.scale",)
+    assert list(finished_sweeps(pd.DataFrame())) == []

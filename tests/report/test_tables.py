@@ -160,7 +160,7 @@ def test_a_caption_has_the_numbers_of_controls_that_were_run() -> None:
     words = "tested on combinations seen in training, in other geometries"
     assert words not in caption(fill(TABLES["blocktower"], pd.DataFrame(shown)))
     filled = fill(TABLES["blocktower"], pd.DataFrame(shown + control))
-    numbers = f"{words}: Copy C 0.400 [0.390, 0.420], CoPhyNet 0.250 [0.240, 0.270]."
+    numbers = f"{words}: Copy C 0.400 [0.390, 0.420], CoPhyNet 0.250 ± 0.000 [0.240, 0.270]."
     assert caption(filled).endswith(numbers)
     assert cells(filled).loc["3→3 †", "CoPhyNet"].startswith("0.300")
 
@@ -260,3 +260,11 @@ def test_a_share_is_of_the_experiments_that_all_were_tested_on() -> None:
     other_data = [replace(each, truth=each.truth + 0.5) for each in with_ab]  # whose experiments have the same numbers
     assert np.isnan(share_of_gain(ours, without, other_data).value)
     assert np.isnan(share_of_gain([], without, with_ab).value)
+
+
+def test_an_interval_of_a_paper_table_has_a_width_and_a_deviation_may_be_zero() -> None:
+    same = [measured("mse", 0.3, "cophynet", seed=seed) | {"low.mse": 0.3, "high.mse": 0.3} for seed in (0, 1)]
+    copies = [measured("mse", 0.3, "copy_c", seed=seed, is_trained=False) for seed in (0, 1)]
+    texts = cells(fill(TABLES["blocktower"], pd.DataFrame([*same, *copies]))).loc["3→3"]
+    assert texts["CoPhyNet"] == "0.300 ± 0.000 / 0.294"
+    assert texts["Copy C"] == "0.300 [0.290, 0.320] / 0.470"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -87,7 +88,8 @@ def draw_trajectories(
     count, heights = len(initial), np.concatenate([initial[:, None], true], axis=1)[..., 2]
     is_flat = (np.ptp(heights, axis=1)[presence] < MIN_HEIGHT_CHANGE_M).all()
     views = list(VIEWS.items())[: 1 if is_flat else None]
-    figure = Figure(figsize=(3.0 * count, 3.0 * len(views) + 0.8), layout="constrained")
+    height = 3.0 * len(views) + 0.6 + 0.2 * len(title.splitlines())
+    figure = Figure(figsize=(3.0 * count, height), layout=ConstrainedLayoutEngine(h_pad=0.08))  # inches
     figure.suptitle(title, fontsize="medium")
     axes = figure.subplots(len(views), count, squeeze=False)
     for (view, (right, up)), row, titles in zip(views, axes, (headings, ()), strict=False):

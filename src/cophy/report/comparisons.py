@@ -17,7 +17,7 @@ from cophy.errors import CophyError
 from cophy.report import render
 from cophy.report.paper_tables import TRUE_POSITIONS, method_title, methods
 from cophy.report.predictions import stored_scores
-from cophy.report.runs import IN_CAPTIONS, MISSING, POSITIONS, comparable_seeds, notice, read_runs
+from cophy.report.runs import IN_CAPTIONS, MISSING, POSITIONS, comparable_seeds, elsewhere, notice, read_runs
 from cophy.scoring import Scores, average, compare, have_same_experiments
 
 log = logging.getLogger(__name__)
@@ -25,6 +25,8 @@ log = logging.getLogger(__name__)
 FILES = "comparisons"
 COLUMN = ("scenario", "split", "size", "data")  # runs that agree in these were tested on the same experiments
 DATA_SEED = "data_seed-"
+COLUMNS_OF_TEST = ("difference", "p")
+NEGLIGIBLE = 1e-9  # in the unit of tables: rounding errors
 SIGNIFICANT = 0.05  # false discovery rate
 
 
@@ -50,8 +52,9 @@ MEASURES = {
 }
 CAPTION = (
     "Difference: first - second, paired by experiment, mean over seeds, with its 95 % t interval over clusters of test "
-    "experiments and, for methods with several seeds, over training seeds. ±: standard deviation over seeds. p: two-sided t "
-    "test, corrected for all tests of the measure (Benjamini-Hochberg). *: significantly different, p < 0.05 (false discovery rate)."
+    "experiments and, for methods with several seeds, over training seeds; intervals are not corrected for the number of "
+    "tests. ±: standard deviation over seeds. p: two-sided t test, corrected for all tests of the measure "
+    "(Benjamini-Hochberg). *: significantly different, p < 0.05 (false discovery rate)."
 )
 COUNTS_CAPTION = (
     "Columns in which the row's method is significantly better than the column's / not significantly different / "
@@ -145,7 +148,7 @@ def _read_runs(outputs: Path) -> pd.DataFrame:
     runs = read_runs(outputs)
     runs = runs if runs.empty else runs[runs["error"].isna() & ~runs["model"].str.startswith("derenderer")]
     if runs.empty:
-        raise CophyError(f"outputs={outputs}: there are no finished predictors to compare")
+        raise CophyError(f"outputs={outputs}: {elsewhere(runs) or 'there are no finished predictors to compare'}")
     runs = runs.assign(changes=runs["variant"].str.split("+").str[1:])
     return runs.assign(name=runs.apply(_name, axis=1))
 
@@ -215,7 +218,7 @@ def _seeds(runs: pd.DataFrame, column: Mapping[Any, Any]) -> Tested | None:
         log.warning(notice(f"{runs['directory'].iloc[0]}: its seeds were tested on different data: not compared"))
         return None
     trained = runs[runs["is_trained"].astype(bool)]
-    return Tested(scores, ", ".join(map(str, sorted(trained["epochs"].unique())))) if scores else None
+    return Tested(scores, ", ".join(map(str, sorted(trained["epochs"].astype(int).unique())))) if scores else None
 
 
 def _compare_pairs(tested: Mapping[str, Tested], column: Mapping[Any, Any]) -> Iterator[dict[str, Any]]:
@@ -258,26 +261,66 @@ def _adjusted(p: "pd.Series[float]") -> "pd.Series[float]":
 
 
 def comparison_tables(frame: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
-    """Yield title, table of text and what was tested, of each pair of methods and measure."""
+    """Yield title, table of `Cell` and what was tested, of each pair of methods and measure."""
     for (measure, one, other), lines in frame.groupby(["measure", "method", "other"], sort=False):
-        title, scale, digits, _ = MEASURES[str(measure)]
+        rows = {_label(line, frame): _cells(line) for line in lines.to_dict("records")}
+        columns = [str(one), str(other), *COLUMNS_OF_TEST]
+        yield f"{one} vs {other}: {MEASURES[str(measure)].title}", _wide(rows, columns), _amounts(lines)
 
-        def number(value: float, sign: str = "", *, scale: float = scale, digits: int = digits) -> str:
-            return f"{round(scale * value, digits) + 0.0:{sign}.{digits}f}"  # no -0.000
 
-        texts: dict[str, dict[str, str]] = {}
-        for line in lines.to_dict("records"):
-            interval = f"[{number(line['low'])}, {number(line['high'])}]"
-            p, is_known = line["p_adjusted"], not np.isnan(line["p"])
-            texts[_label(line, frame)] = {
-                str(one): number(line["mean"]) + (f"\n± {number(line['sd'])}" if line["sd"] > 0 else ""),
-                str(other): number(line["other_mean"])
-                + (f"\n± {number(line['other_sd'])}" if line["other_sd"] > 0 else ""),
-                "difference": f"{number(line['difference'], '+')}{'*' if line['outcome'] else ''}"
-                + (f"\n{interval}" if is_known else ""),
-                "p": (f"{p:.3f}" if p >= 0.001 else "< 0.001") if is_known else "too few",
-            }
-        yield f"{one} vs {other}: {title}", pd.DataFrame(texts).T, _amounts(lines)
+def latex_tables(frame: pd.DataFrame) -> Iterator[render.TextTable]:
+    """Yield a table of all pairs for each measure; ± and intervals are below the numbers."""
+    for number, (measure, lines) in enumerate(frame.groupby("measure", sort=False)):
+        by_names = {
+            (f"{line['method']} vs {line['other']}", _label(line, frame)): _cells(line)
+            for line in lines.to_dict("records")
+        }
+        alike = [len(set(names)) == 1 for names in zip(*by_names, strict=True)]  # such names are in the title
+        if all(alike):
+            alike = [False, True]
+        rows = {
+            ": ".join(name for name, is_alike in zip(names, alike, strict=True) if not is_alike): cells
+            for names, cells in by_names.items()
+        }
+        of_all = [name for name, is_alike in zip(next(iter(by_names)), alike, strict=True) if is_alike]
+        table = _wide(rows, ["first", "second", *COLUMNS_OF_TEST]).map(
+            lambda cell: render.Cell(cell.ours, interval=cell.deviation or cell.interval)
+        )
+        columns = "Columns, intervals and p are those of the first table of comparisons." if number else CAPTION
+        title = ": ".join(["Comparisons", *of_all, MEASURES[str(measure)].title])
+        yield render.TextTable(f"{FILES}-{measure}", title, table, f"{columns} {_amounts(lines)}")
+
+
+def _wide(rows: Mapping[str, Sequence[render.Cell]], columns: Sequence[str]) -> pd.DataFrame:
+    cells = {column: [row[n] for row in rows.values()] for n, column in enumerate(columns)}
+    return pd.DataFrame(cells, index=[*rows], dtype=object)
+
+
+def _cells(line: Mapping[Any, Any]) -> tuple[render.Cell, ...]:
+    """Return the cells of a comparison: both methods and COLUMNS_OF_TEST."""
+    _, scale, digits, _ = MEASURES[line["measure"]]
+
+    def method(prefix: str) -> render.Cell:
+        value, sd = (scale * line[f"{prefix}{name}"] for name in ("mean", "sd"))
+        varies = sd > 0 or (line[f"{prefix}epochs"] and not np.isnan(sd))  # copy baselines have no random seed
+        deviation = f"± {render.number(sd, digits)}" if varies else ""
+        return render.Cell(render.number(value, digits), deviation)
+
+    value, low, high = (scale * line[name] for name in ("difference", "low", "high"))
+    interval = f"[{_signed(low, digits)}, {_signed(high, digits)}]" if low < high else ""
+    p, is_known = line["p_adjusted"], not np.isnan(line["p"])
+    return (
+        *map(method, ("", "other_")),
+        render.Cell(f"{_signed(value, digits, '+')}{'*' if line['outcome'] else ''}", interval=interval),
+        render.Cell((f"{p:.3f}" if p >= 0.001 else "< 0.001") if is_known else "too few"),
+    )
+
+
+def _signed(value: float, digits: int, sign: str = "") -> str:
+    """Return a number as text; with more digits if rounding would hide that it is not 0."""
+    while round(value, digits) == 0 and abs(value) > NEGLIGIBLE:
+        digits += 1
+    return f"{round(value, digits) + 0.0:{sign}.{digits}f}"  # no -0.000
 
 
 def _label(line: Mapping[Any, Any], frame: pd.DataFrame) -> str:
@@ -297,7 +340,9 @@ def _amounts(lines: pd.DataFrame) -> str:
         "epochs": lines["epochs"].replace("", "no") + " vs " + lines["other_epochs"].replace("", "no"),
     }
     text = "; ".join(f"{name}: {', '.join(map(str, values.unique()))}" for name, values in counts.items())
-    few = f" Too few: under {MIN_CLUSTERS} clusters." if lines["p"].isna().any() else ""
+    too_few = sorted(lines["clusters"][lines["p"].isna()].unique())
+    needed = f"intervals and tests need {MIN_CLUSTERS} or more."
+    few = f" Too few clusters of test experiments: {', '.join(map(str, too_few))}; {needed}" if too_few else ""
     trained = [lines[f"{prefix}epochs"].ne("") & lines[f"{prefix}seeds"].eq(1) for prefix in ("", "other_")]
     single = " With one seed, single trainings are compared, not methods." if np.any(trained) else ""
     return f"{text}.{few}{single}"
@@ -327,40 +372,32 @@ def write_comparisons(outputs: Path, directory: Path, names: Sequence[str]) -> N
         raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there")
     frame = compare_methods(outputs, names)
     counts, tables = list(count_tables(frame)), list(comparison_tables(frame))
-    for title, table, tested in tables:
-        if title.startswith(f"{frame['method'].iloc[0]} vs "):
-            render.show(title, table, tested)
-    log.info(f"{notice(CAPTION)}\n")
-    for title, table, tested in counts:
-        render.show(title, table, f"{COUNTS_CAPTION} {tested}")
-    captions = [
-        *(f"{COUNTS_CAPTION} {tested}" for *_, tested in counts),
-        *(f"{CAPTION} {tested}" for *_, tested in tables),
-    ]
     sections = [
-        (title, table.replace("\n", " ", regex=True), caption)
-        for (title, table, _), caption in zip([*counts, *tables], captions, strict=True)
+        *((title, table, f"{COUNTS_CAPTION} {tested}") for title, table, tested in counts),
+        *((title, table.map(render.Cell.text), tested) for title, table, tested in tables),
     ]
-    latex = [
-        r"% \usepackage{booktabs}",
-        *(_latex(f"{title}. {caption}", table, number) for number, (title, table, caption) in enumerate(sections)),
-    ]
+    parts = [f"## {title}\n\n{table.to_markdown()}\n\n{caption}\n" for title, table, caption in sections]
+    latex = [render.latex(table, keep_intervals=True) for table in latex_tables(frame)]
+    for number, (title, table, tested) in enumerate(counts):
+        name, caption = f"{FILES}-wins-{number}", f"{COUNTS_CAPTION} {tested}"
+        latex.append(render.latex(render.TextTable(name, title, table.map(render.Cell), caption)))
     texts = {
-        "md": "\n".join(f"## {title}\n\n{table.to_markdown()}\n\n{caption}\n" for title, table, caption in sections),
+        "md": "\n".join([*parts, CAPTION, ""]),
         "csv": frame.to_csv(index=False),
-        "tex": "\n".join(latex),
+        "tex": "\n".join([render.LATEX_HEAD, *latex]),
     }
     directory.mkdir(parents=True, exist_ok=True)
     for kind, text in texts.items():
         write_atomically(directory / f"{FILES}.{kind}", text.encode())
+    for title, table, tested in tables:
+        if title.startswith(f"{frame['method'].iloc[0]} vs "):
+            render.show(title, table.map(_stacked), tested)
+    log.info(f"{notice(CAPTION)}\n")
+    for title, table, tested in counts:
+        render.show(title, table, f"{COUNTS_CAPTION} {tested}")
     log.info(f"All pairs are in\n{directory / FILES}.md, .csv and .tex")
 
 
-def _latex(caption: str, table: pd.DataFrame, number: int) -> str:
-    """Return a table environment (needs booktabs)."""
-    cells = table.map(render.to_latex).rename(index=render.to_latex, columns=render.to_latex)
-    columns = "l" + "r" * len(table.columns)
-    label = f"tab:{FILES}-{number}"
-    return str(
-        cells.to_latex(caption=render.to_latex(caption), label=label, column_format=columns, escape=False, position="t")
-    )
+def _stacked(cell: render.Cell) -> str:
+    """Return a cell of the terminal, with what is not its number below that."""
+    return "\n".join(filter(None, (cell.ours, cell.deviation, cell.interval)))

@@ -18,6 +18,7 @@ from cophy.dataset.splits import Part
 from cophy.dataset.states import clusters_of, sort_by_twins
 from cophy.drawing.plots import square_root, style
 from cophy.report.figures import row_name, row_title, sort_rows
+from cophy.report.render import interval as interval_text
 from cophy.report.runs import comparable_seeds
 from cophy.scenario import Scenario
 from cophy.scoring import Predictions, Scores, Truth, average, score
@@ -242,18 +243,18 @@ def _explained(frame: pd.DataFrame) -> str:
     if "twins" not in set(frame["by"]):
         return ""
     pairs = frame[frame["explained"].notna()]
-    text = [
-        f"{explained:.0%} [{low:.0%}, {high:.0%}]"
-        for explained, low, high in pairs[["explained", "explained_low", "explained_high"]].itertuples(index=False)
-    ]
+    text = _with_intervals(pairs[["explained", "explained_low", "explained_high"]], ".0%")
     return f"Of the twins' difference, explained:\n\n{_wide(pairs.assign(text=text))}\n"
 
 
 def _table(frame: pd.DataFrame) -> str:
-    text = (
-        frame["mse"].map("{:.3f}".format) + frame["low"].map(" [{:.3f}, ".format) + frame["high"].map("{:.3f}]".format)
-    )
+    text = _with_intervals(frame[["mse", "low", "high"]], ".3f")
     return f"{_wide(frame.assign(text=text))}\n\n{_explained(frame)}"
+
+
+def _with_intervals(numbers: pd.DataFrame, form: str) -> list[str]:
+    """Return value, low and high of each line as text."""
+    return [f"{value:{form}} {interval_text(low, high, form)}".strip() for value, low, high in numbers.to_numpy()]
 
 
 def _wide(frame: pd.DataFrame) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from cophy.report.paper_tables import SIMULATED, method_title, methods
-from cophy.report.render import UNCERTAINTY, Cell, TextTable, number
+from cophy.report.render import FAILED, UNCERTAINTY, Cell, TextTable, interval, number
 from cophy.report.runs import MISSING, POSITIONS, comparable_seeds
 
 TABLE = ["scenario", "size", "positions", "data"]  # shared by the runs of a table
@@ -224,13 +224,12 @@ def measured_cell(
     """Return the cell of a line of `method_cells`; if `first`, it says that only the first test experiments count."""
     failed = f"({line['failed']} failed)" if line["failed"] else ""
     if not line["seeds"] or pd.isna(line.get(f"metrics.{metric}")):
-        return Cell("failed" if line["failed"] else MISSING)
+        return Cell(FAILED if line["failed"] else MISSING)
     note = failed or (f"(first {line['num_test']:.0f})" if first else "")
-    value, sd, low, high = (
-        number(scale * line.get(f"{part}.{metric}", np.nan), digits) for part in ("metrics", "sd", "low", "high")
-    )
-    varies = line["seeds"] > 1 and float(sd) > 0  # copy baselines have no random seed
-    return Cell(value, f"± {sd}" if varies else "", "" if low == "nan" else f"[{low}, {high}]", note)
+    value, sd, low, high = (line.get(f"{part}.{metric}", np.nan) for part in ("metrics", "sd", "low", "high"))
+    varies = line["seeds"] > 1 and (sd > 0 or not pd.isna(line["epochs"]))  # copy baselines have no random seed
+    deviation = f"± {number(scale * sd, digits)}" if varies else ""
+    return Cell(number(scale * value, digits), deviation, interval(low, high, f".{digits}f", scale), note)
 
 
 def _best(cells: pd.DataFrame, metric: str, *, lower_is_better: bool) -> set[Any]:

@@ -1,7 +1,8 @@
 """From outputs/ to tables and figures, ours next to the paper's numbers."""
 
 import logging
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Collection, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import chain
@@ -20,8 +21,8 @@ from cophy.report import figures, render
 from cophy.report.methods import method_cells, method_tables
 from cophy.report.paper_tables import paper_tables
 from cophy.report.predictions import StoredPredictions, read_stored_predictions
-from cophy.report.runs import DatasetIds, filter_runs, notice, read_runs, standard_runs
-from cophy.report.sweeps import draw_sweep, find_sweeps, sweep_table
+from cophy.report.runs import DatasetIds, elsewhere, filter_runs, notice, read_runs, standard_runs
+from cophy.report.sweeps import draw_sweep, find_sweeps, finished_sweeps, sweep_table
 from cophy.report.tables import fill
 from cophy.scenario import Scenario
 from cophy.workers import worker_pool
@@ -29,6 +30,9 @@ from cophy.workers import worker_pool
 log = logging.getLogger(__name__)
 
 NUM_PROCESSES, MANY_FIGURES = 2, 16  # figures take most of the time of a report; from so many on, processes write them
+FIGURE = re.compile(
+    r"(table|trajectories|error_over_time|sweep|stability_distribution|difficulty|study)-."
+)  # names of figures
 MAX_FAILURES = 5  # printed; runs.csv has all
 
 
@@ -108,7 +112,8 @@ class Report:
         if runs.empty and not supplement.tables:
             if self.unused:
                 raise CophyError(f"outputs={outputs}: no run can be reported, for the reasons above")
-            raise CophyError(f"outputs={outputs}: there are no runs; train.py writes them (python src/train.py --help)")
+            remedy = elsewhere(runs) or "there are no runs; train.py writes them (python src/train.py --help)"
+            raise CophyError(f"outputs={outputs}: {remedy}")
         self.runs = runs if len(runs) else pd.DataFrame()
         self.cells = method_cells(runs) if len(runs) else pd.DataFrame()
         self.tables = list(method_tables(self.cells)) if len(runs) else []
@@ -150,8 +155,8 @@ class Report:
         if failed:
             log.info(notice("Run the same command again, or remove the folder of a failed run to forget it."))
 
-    def write_tables(self, directory: Path) -> None:
-        """Write all tables as Markdown, LaTeX and CSV."""
+    def write_tables(self, directory: Path) -> set[str]:
+        """Write all tables as Markdown, LaTeX and CSV; return the names of their files."""
         texts = self._texts()
         if len(self.difficulty):
             from cophy.report import difficulty
@@ -160,15 +165,17 @@ class Report:
             texts["difficulty.md"] = difficulty.page(self.difficulty, self.scenarios)
         for name, text in texts.items():
             write_atomically(directory / name, text.encode())
+        return {*texts}
 
     def _texts(self) -> dict[str, str]:
         """Return the content of the files of tables by name."""
         papers = [render.paper_text_tables(filled, whole=bool(self.view.paper)) for filled in self.filled]
         tables = [*self.tables, *map(sweep_table, self.sweeps), *chain.from_iterable(papers)]
+        of_latex = [*self.tables, *map(sweep_table, finished_sweeps(self.cells)), *chain.from_iterable(papers)]
         supplement = render.markdown_sections(self.supplement.tables, self.supplement.caption)
         return {
             "tables.md": "\n".join([*map(render.markdown, tables), supplement]),
-            "tables.tex": "\n".join([render.LATEX_HEAD, *map(render.latex, tables)]),
+            "tables.tex": "\n".join([render.LATEX_HEAD, *filter(None, map(render.latex, of_latex))]),
             "document.tex": render.LATEX_DOCUMENT,
             "runs.csv": self._as_csv(self.runs),
             "methods.csv": self._as_csv(self.cells),
@@ -239,6 +246,25 @@ class Report:
                 yield f"stability_distribution-{size}", figures.draw_stability_distribution(arrays)
 
 
+def _remove_earlier(directory: Path, written: Collection[str]) -> None:
+    """Remove the tables and figures of an earlier report that this one did not write.
+
+    Args:
+        directory: The folder of reports.
+        written: Files of tables, and figures without suffix, of this report.
+    """
+    names = ["difficulty.csv", "difficulty.md", *(f"{table.id}.csv" for table in paper_tables())]
+    for path in (directory / name for name in names if name not in written):
+        if path.is_file():
+            path.unlink()
+    for path in (directory / "figures").glob("*.png"):
+        of_figure = [path, path.with_suffix(".pdf")]  # a report writes both
+        is_earlier = FIGURE.match(path.name) and f"figures/{path.stem}" not in written
+        if is_earlier and all(file.is_file() for file in of_figure):
+            for file in of_figure:
+                file.unlink()
+
+
 def write_report(
     outputs: Path,
     directory: Path,
@@ -255,9 +281,12 @@ def write_report(
     paths = [directory / "figures" / name for name in drawn]
     with nullcontext() if len(drawn) < MANY_FIGURES else worker_pool(NUM_PROCESSES) as processes:
         written = (map if processes is None else processes.map)(write_figure, paths, drawn.values())
-        report.write_tables(directory)
-        report.show()
-        list(written)
+        tables = report.write_tables(directory)
+        try:
+            report.show()
+        finally:  # whoever reads the output may have seen enough
+            list(written)
+            _remove_earlier(directory, {*tables, *(f"figures/{name}" for name in drawn)})
     unused = f" ({report.unused} more are left out, see above)" if report.unused else ""
     message = "%s%s; tables (md, tex, csv), their captions and %d figures (png, pdf) are in\n%s"
     log.info(message, "1 run" if len(report.runs) == 1 else f"{len(report.runs)} runs", unused, len(drawn), directory)

@@ -1,5 +1,9 @@
 """Tables as text: one renderer for the terminal, one for Markdown and one for LaTeX."""
 
+import os
+import re
+import signal
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from textwrap import wrap
@@ -29,9 +33,13 @@ LATEX = {
         "—": "--",
         "²": "$^2$",
     },
+    "−": "$-$",
     **{"Σ": r"$\Sigma$", "Δ": r"$\Delta$", "λ": r"$\lambda$", "<": "$<$", ">": "$>$", "|": "$|$", "≤": r"$\leq$"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "*": "$^*$"},
 }
+NEGATIVE_ZERO = re.compile(r"^-(?=[0.]+%?$)")
+NEGATIVE = re.compile(r"(?<![\w.)-])-(?=\.?\d)")  # the sign of a number
+BREAKS = re.compile(r"(?<=[^\W\d]\.)(?=\w)|(?<=\w=)")  # where a key and its value may be broken: after a point or =
 LATEX_WIDTH, LATEX_LINES = 72, 40  # characters of \small in a line of article, and lines of a table on a page
 LATEX_HEAD = "% Tables of report.py for a paper; in its preamble: \\usepackage{booktabs}\n"
 LATEX_DOCUMENT = r"""% Compiles by itself: pdflatex document.tex
@@ -40,10 +48,14 @@ LATEX_DOCUMENT = r"""% Compiles by itself: pdflatex document.tex
 \extrafloats{500}
 \begin{document}
 \input{tables}
+\IfFileExists{comparisons.tex}{\input{comparisons}}{}
 \end{document}
 """
 WIDTH_FOR_INTERVALS = 100  # columns of the terminal
 MAX_LABEL, MAX_LATEX_LABEL, WHOLE_HEADING, GAP = 28, 44, 12, 3  # characters
+
+
+FAILED = "failed"  # in place of a number, where all runs failed
 
 
 class Cell(NamedTuple):
@@ -99,6 +111,12 @@ def number(value: float, digits: int) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
+def interval(low: float, high: float, form: str, scale: float = 1.0) -> str:
+    """Return an interval as text; "" if it is unknown, or has no width, as with a single cluster."""
+    ends = (f"{scale * end:{form}}" for end in (low, high))
+    return f"[{', '.join(NEGATIVE_ZERO.sub('', end) for end in ends)}]" if low < high else ""
+
+
 def table_cells(filled: FilledTable) -> pd.DataFrame:
     """Return rows × columns of `Cell`."""
     cells = [_cell(value, filled.table.digits) for value in filled.values.to_dict("records")]
@@ -120,19 +138,18 @@ def _wide(values: pd.DataFrame, cells: list[Cell]) -> pd.DataFrame:
 def _cell(value: dict[Any, Any], digits: int) -> Cell:
     paper = MISSING if pd.isna(value["paper"]) else number(value["paper"], digits)
     if not value["seeds"]:
-        return Cell("failed" if value["failed"] else MISSING, paper=paper)
-    ours, sd, low, high = (number(value[name], digits) for name in ("ours", "sd", "low", "high"))
-    varies = value["seeds"] > 1 and float(sd) > 0  # copy baselines have no random seed
+        return Cell(FAILED if value["failed"] else MISSING, paper=paper)
+    ours, sd = (number(value[name], digits) for name in ("ours", "sd"))
+    varies = value["seeds"] > 1 and not pd.isna(value["sd"])
+    ends = interval(value["low"], value["high"], f".{digits}f")
     failed = f"({value['failed']} failed)" if value["failed"] else ""
-    return Cell(ours, f"± {sd}" if varies else "", f"[{low}, {high}]", failed, paper, value["best"])
+    return Cell(ours, f"± {sd}" if varies else "", ends, failed, paper, value["best"])
 
 
 def _share_cell(value: dict[Any, Any]) -> Cell:
     if pd.isna(value["share"]):
         return Cell(MISSING)
-    known = not pd.isna(value["share_low"])
-    interval = f"[{value['share_low']:.0%}, {value['share_high']:.0%}]" if known else ""
-    return Cell(f"{value['share']:.0%}", interval=interval)
+    return Cell(f"{value['share']:.0%}", interval=interval(value["share_low"], value["share_high"], ".0%"))
 
 
 def caption(filled: FilledTable) -> str:
@@ -169,17 +186,28 @@ def markdown(table: TextTable) -> str:
     return f"## {table.title}\n\n{text}\n\n{table.caption}\n"
 
 
-def latex(table: TextTable) -> str:
-    """Return table environments (of booktabs) of one page each: numbers, below them intervals, below these the paper's."""
-    cells = table.cells
+def latex(table: TextTable, *, keep_intervals: bool = False) -> str:
+    """Return table environments (of booktabs) of one page each: numbers, below them intervals, below these the paper's.
+
+    What failed is left out.
+
+    Args:
+        table: The table.
+        keep_intervals: Whether intervals are in a long table, too, on more pages.
+    """
+    cells = _without_failed(table.cells)
+    if cells.empty:
+        return ""
     lines = cells.map(lambda cell: _lines(cell, interval=False))
-    if len(cells.columns) > len(cells) and len(_blocks(lines.T, LATEX_WIDTH)) < len(_blocks(lines, LATEX_WIDTH)):
+    if len(cells.columns) > len(cells) and len(_latex_blocks(lines.T)) < len(_latex_blocks(lines)):
         cells, lines = cells.T, lines.T
-    widths = {max_label: _blocks(lines, LATEX_WIDTH, max_label) for max_label in (MAX_LATEX_LABEL, MAX_LABEL)}
+    widths = {max_label: _latex_blocks(lines, max_label) for max_label in (MAX_LATEX_LABEL, MAX_LABEL)}
     max_label, blocks = min(widths.items(), key=lambda option: len(option[1]))
     num_lines = len(blocks) * (2 if lines.map(lambda text: "\n" in text).any(axis=None) else 1)  # per row
-    with_intervals = (num_lines + len(blocks)) * len(cells) <= LATEX_LINES
-    rows = max(len(cells) if with_intervals else LATEX_LINES // num_lines, 1)
+    with_intervals = keep_intervals or (num_lines + len(blocks)) * len(cells) <= LATEX_LINES
+    if keep_intervals:  # below labels of several lines
+        num_lines += len(blocks) * max(1, *(-(-len(str(label)) // max_label) for label in cells.index))
+    rows = len(cells) if with_intervals and not keep_intervals else max(LATEX_LINES // num_lines, 1)
     title = table.title.replace("Table", "The paper's Table", 1)
     title, caption = f"{title[:1].upper()}{title[1:]}", table.caption
     if not with_intervals and cells.map(lambda cell: bool(cell.interval)).any(axis=None):
@@ -192,6 +220,21 @@ def latex(table: TextTable) -> str:
         head = f"\\begin{{table}}[htbp]\n\\centering\n\\small\n\\caption{{{text}}}\n\\label{{tab:{table.id}{start or ''}}}\n"
         parts.append(f"{head}\\vspace{{4pt}}\n{tabulars}\\end{{table}}\n")
     return "\n".join(parts)
+
+
+def _latex_blocks(texts: pd.DataFrame, max_label: int = MAX_LABEL) -> list[list[str]]:
+    """Return `_blocks` of LaTeX, where keys in labels may be broken."""
+    labels = [BREAKS.sub(" ", str(label)) for label in texts.index]
+    return _blocks(texts.set_axis(pd.Index(labels, name=texts.index.name)), LATEX_WIDTH, max_label)
+
+
+def _without_failed(cells: pd.DataFrame) -> pd.DataFrame:
+    """Drop the rows and columns that only failed runs have."""
+    failed = cells.map(lambda cell: cell.ours == FAILED)
+    nothing = failed | cells.map(lambda cell: cell.ours == MISSING)
+    kept = cells.map(lambda cell: cell._replace(ours=MISSING) if cell.ours == FAILED else cell)
+    rows, columns = (failed.any(axis=axis) & nothing.all(axis=axis) for axis in (1, 0))
+    return kept.loc[~rows, ~columns]
 
 
 def _tabular(cells: pd.DataFrame, with_intervals: bool, max_label: int) -> str:
@@ -207,9 +250,16 @@ def _tabular(cells: pd.DataFrame, with_intervals: bool, max_label: int) -> str:
             for cell, text in zip(row, ours, strict=True)
         ]
         raggedright = r"\raggedright " if is_long else ""
+        small = [rf"{{\scriptsize {to_latex(cell.interval)}}}" if cell.interval else "" for cell in row]
+        has_intervals = with_intervals and any(small)
+        if has_intervals and is_long:  # next to the label, which may have several lines, too
+            ours = [
+                rf"\begin{{tabular}}[t]{{@{{}}r@{{}}}}{text} \\ {below}\end{{tabular}}" if below else text
+                for text, below in zip(ours, small, strict=True)
+            ]
         lines.append(_row(f"{raggedright}{to_latex(str(label))}", ours))
-        if with_intervals and any(cell.interval for cell in row):
-            lines.append(_row("", (rf"{{\scriptsize {cell.interval}}}" if cell.interval else "" for cell in row)))
+        if has_intervals and not is_long:
+            lines.append(_row("", small))
         if any(cell.paper not in ("", MISSING) for cell in row):
             lines.append(_row(r"\quad the paper's", (to_latex(cell.paper) for cell in row)))
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
@@ -228,7 +278,8 @@ def _heading(text: str) -> str:
 
 def to_latex(text: str) -> str:
     """Return a text with special characters as commands of LaTeX."""
-    return "".join(LATEX.get(character, character) for character in text)
+    parts = BREAKS.split(NEGATIVE.sub("−", text))
+    return r"\allowbreak{}".join("".join(LATEX.get(character, character) for character in part) for part in parts)
 
 
 def markdown_sections(tables: dict[str, pd.DataFrame], caption: str) -> str:
@@ -241,6 +292,15 @@ def _line(cell: Cell | str) -> str:
     return cell.line() if isinstance(cell, Cell) else str(cell)
 
 
+class _Console(Console):
+    """A console that ends the program as commands do whose output is closed, see `cophy.cli`."""
+
+    def on_broken_pipe(self) -> None:
+        """Leave the pipe, and end with the status of such programs."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
+
+
 def show(title: str, cells: pd.DataFrame, caption: str = "") -> None:
     """Print a table; the paper's number is below ours. Intervals are printed where they fit.
 
@@ -251,7 +311,7 @@ def show(title: str, cells: pd.DataFrame, caption: str = "") -> None:
         cells: `Cell` or texts; the index is the first column.
         caption: Printed below.
     """
-    console = Console(highlight=False)
+    console = _Console(highlight=False)
     cells = cells.map(lambda cell: cell if isinstance(cell, Cell) else Cell(str(cell)))
     texts = cells.map(lambda cell: _lines(cell, interval=True))
     if console.width < WIDTH_FOR_INTERVALS or len(_blocks(texts, console.width)) > 1:

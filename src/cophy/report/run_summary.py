@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from cophy.atomic_files import read_json
 from cophy.errors import CophyError
 from cophy.report.paper_tables import published_mse
 from cophy.report.predictions import stored_scores
+from cophy.report.render import interval
 from cophy.report.runs import read_line
 from cophy.report.tables import PAPER_SIZES, share_of_gain
-from cophy.training.run import METRICS, Run
+from cophy.training.run import METRICS, Run, short_keys
 
 ENDS_OF_SHARE = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
 COPIES = {"copy_c": "copy C: nothing moves", "copy_b": "copy B: the do-operation changes nothing"}
@@ -29,9 +31,10 @@ IN_PERCENT = {
 def show_results(run: Run, own_metrics: Iterable[str] = ()) -> None:
     """Print a small table of the metrics.json of a finished run with the user's own metrics, and its path."""
     content = read_json(run.directory / METRICS)
-    table = Table(
-        box=SIMPLE_HEAD, title=f"{run.model} ({run.ablation}) on {run.scenario} {run.split}", title_justify="left"
-    )
+    words = short_keys(run.changes)
+    changes = [f"{words[key]}={value}" for key, value in run.changes.items()]  # tells the runs of a sweep apart
+    title = ", ".join([f"{run.model} ({run.ablation}) on {run.scenario} {run.split}", f"seed {run.seed}", *changes])
+    table = Table(box=SIMPLE_HEAD, title=escape(title), title_justify="left")
     table.add_column(f"{content['num_test']} test experiments")
     table.add_column("", justify="right", no_wrap=True)
     for line in _lines(run, content, own_metrics):
@@ -43,7 +46,8 @@ def show_results(run: Run, own_metrics: Iterable[str] = ()) -> None:
 
 def _lines(run: Run, content: dict[str, Any], own_metrics: Iterable[str]) -> Iterator[tuple[str, str]]:
     metrics = content["metrics"]
-    yield "MSE, m², with 95 % interval", _with_interval(content, "mse")
+    low, high = content["intervals"]["mse"]
+    yield f"MSE, m²{', with 95 % interval' if low < high else ''}", _with_interval(content, "mse")
     for name, value in content["copies"].items():
         yield f"  {COPIES[name]}", f"{value:.4f}"
     if (published := published_mse(run.names())) is not None:
@@ -69,14 +73,13 @@ def _lines(run: Run, content: dict[str, Any], own_metrics: Iterable[str]) -> Ite
         except (CophyError, OSError):  # damaged predictions of an oracle; report.py names them
             return
         if not np.isnan(share.value):
-            yield "Share of the possible gain", f"{share.value:.0%} [{share.low:.0%}, {share.high:.0%}]"
+            yield "Share of the possible gain", f"{share.value:.0%} {interval(share.low, share.high, '.0%')}".strip()
 
 
 def _with_interval(content: dict[str, Any], name: str, form: str = ".4f") -> str:
-    """Return a mean and its interval; without one if it has no width, as with a single cluster."""
+    """Return a mean and its interval, if it has a width."""
     low, high = content["intervals"][name]
-    interval = f" [{low:{form}}, {high:{form}}]" if low < high else ""
-    return f"{content['metrics'][name]:{form}}{interval}"
+    return f"{content['metrics'][name]:{form}} {interval(low, high, form)}".strip()
 
 
 def _oracle(directory: Path, content: dict[str, Any]) -> Path | None:

@@ -1,6 +1,7 @@
 """The runs below outputs/ as a table with one line per run, and which of them a table may show or average."""
 
 import logging
+import os
 import re
 import textwrap
 from collections.abc import Callable, Collection, Sequence
@@ -176,10 +177,12 @@ def read_runs(outputs: Path) -> pd.DataFrame:
         outputs: Where train.py wrote its runs.
 
     Returns:
-        One line per run, but of runs without a training that differ in keys of training alone, one: names, directory, counts, epochs, metric_dims, validation_mse, inputs (optional ones that the model
+        One line per run (one of those that train nothing and differ in keys of training alone): names, directory, counts, epochs,
+        metric_dims, validation_mse, inputs (optional ones that the model
         sees), every test metric and its interval (see `read_line`). `data` is what the run changes in its data, as text, and
         `changes` what else it changes (key, value). A failed run has its `error` instead of results; `error` is None for the
-        others. `attrs`: how many runs are `unused`, because they cannot be read.
+        others. `attrs`: how many runs are `unused`, because they cannot be read; `root`, the folder that has those in `outputs`
+        at their place, if none is read.
     """
     paths = sorted(path for name in (METRICS, FAILURE) for path in outputs.glob(f"*/*/*/*/*/seed*/{name}"))
     lines, unused = [], 0
@@ -201,11 +204,13 @@ def read_runs(outputs: Path) -> pd.DataFrame:
             changes, line["variant"] = _without_training(changes, line["variant"])
         line["data"] = ", ".join(f"{key}={changes[key]}" for key in changes if key.startswith(DATA_KEYS))
         line["changes"] = tuple((key, value) for key, value in changes.items() if not key.startswith(DATA_KEYS))
-    if elsewhere := len(set(outputs.rglob(METRICS)).difference(paths)):
-        text = f"{elsewhere} runs below {outputs} are not where train.py puts them and are not read (hydra.run.dir=)."
+    others = set(outputs.rglob(METRICS)).difference(paths)
+    root = None if paths or not others else _root(min(others))
+    if others and root is None:
+        text = f"{len(others)} runs below {outputs} are not where train.py puts them and are not read (hydra.run.dir=)."
         log.info(notice(text))
     table = pd.DataFrame(_different(lines))
-    table.attrs["unused"] = unused
+    table.attrs |= {"unused": unused, "root": root}
     return table
 
 
@@ -226,12 +231,28 @@ def _different(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for line in lines:
         is_same_as = line["directory"]
         if line.get("is_trained") is False:
-            names = (*(line[name] for name in PLACE), f"seed{line['seed']}{line['variant']}", *line["dataset_ids"])
-            is_same_as = names
+            is_same_as = (*(line[name] for name in (*PLACE, "seed", "variant")), *line["dataset_ids"])
         other = kept.setdefault(is_same_as, line)
         if len(line["directory"].name) < len(other["directory"].name):
             kept[is_same_as] = line
     return [*kept.values()]
+
+
+def _root(path: Path) -> Path | None:
+    """Return the folder below which a file of results is where train.py puts it; None if there is none."""
+    whole = path.resolve()
+    try:
+        read_line(whole)
+        root = whole.parents[len(PLACE) + 1]
+    except (CophyError, OSError, IndexError):
+        return None
+    return root if path.is_absolute() else Path(os.path.relpath(root))
+
+
+def elsewhere(runs: pd.DataFrame) -> str:
+    """Return what to do where `read_runs` has found only runs of another folder; "" if there are none."""
+    root = runs.attrs.get("root")
+    return f"its runs are where train.py puts them below {root}: outputs={root}" if root is not None else ""
 
 
 def filter_runs(runs: pd.DataFrame, models: Sequence[str], splits: Sequence[str]) -> pd.DataFrame:

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import yaml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from cophy.report.methods import METHOD, TABLE, VALIDATION, listed, measured_cell, method_title, natural, table_name
 from cophy.report.render import UNCERTAINTY, TextTable
@@ -20,6 +22,8 @@ MEASURES = {VALIDATION: "validation", "mse": "test"}
 STYLES = {VALIDATION: ("#d55e00", "--"), "mse": ("#0072b2", "-")}  # of Okabe and Ito, for the colour-blind
 DECADE = 10  # a key whose values span it has a logarithmic axis
 PANEL_IN = (3.6, 3.0)  # width and height, inches
+TICK_DISTANCE = 0.1  # as a part of the axis
+BEST, OTHERS = "lowest validation MSE", "other settings"
 UNCHANGED = "default"  # in place of a value that the configuration does not tell
 
 
@@ -69,6 +73,12 @@ def find_sweeps(cells: pd.DataFrame) -> Iterator[Sweep]:
         swept = settings.assign(**values)
         order = sorted(swept.index, key=lambda index: [natural(swept.loc[index, key]) for key in keys])
         yield Sweep(title, re.sub(r"[^\w.-]+", "_", "-".join(parts)), swept.loc[order], keys)
+
+
+def finished_sweeps(cells: pd.DataFrame) -> Iterator[Sweep]:
+    """Yield the sweeps without failed settings, and so without keys that only these change."""
+    if len(cells):
+        yield from find_sweeps(cells[cells["seeds"] > 0])
 
 
 def _value(changed: dict[str, str], key: str, directory: Path) -> str:
@@ -132,17 +142,35 @@ def draw_sweep(sweep: Sweep) -> Figure | None:
         known = values.dropna()
         if known.min() > 0 and known.max() >= DECADE * known.min():
             axis.set_xscale("log")
+        ticks = _ticks(sorted(known.unique()), is_log=axis.get_xscale() == "log")
+        axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axis.minorticks_off()
+        if sweep.best in known.index:
+            best = done.loc[sweep.best, [f"metrics.{metric}" for metric in MEASURES]]
+            axis.plot([known[sweep.best]] * len(best), best, "o", ms=9, mfc="none", mec="k", label=BEST)
         axis.set_xlabel(short_keys(sweep.keys)[key])
         axis.grid(alpha=0.2)
     panels[0].set_ylabel("MSE (m²)")
     handles = {
         label: handle for axis in panels for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
     }
+    if any(line.get_label() == OTHERS for axis in panels for line in axis.lines):
+        handles |= {OTHERS: Line2D([], [], ls="", marker="o", color="0.5", ms=3)}
     figure.legend(
         handles.values(), handles.keys(), loc="outside lower center", ncols=2, frameon=False, fontsize="small"
     )
     figure.suptitle(sweep.title, fontsize="small", wrap=True)
     return figure
+
+
+def _ticks(values: list[float], *, is_log: bool) -> list[float]:
+    """Return the values that have room for a number below an axis, from the first on."""
+    at = np.log(values) if is_log else np.asarray(values)
+    kept = [0]
+    for n in range(1, len(at)):
+        if at[n] - at[kept[-1]] >= TICK_DISTANCE * (at[-1] - at[0]):
+            kept.append(n)
+    return [values[n] for n in kept]
 
 
 def _best_slice(settings: pd.DataFrame, others: list[str]) -> "pd.Index[Any]":
@@ -158,7 +186,8 @@ def _draw_measure(
 ) -> None:
     color, style = STYLES[metric]
     mean, sd = f"metrics.{metric}", f"sd.{metric}"
-    axis.plot(values, done[mean], "o", color=color, ms=3, alpha=0.4)
+    others = done.index.difference(is_slice)
+    axis.plot(values[others], done.loc[others, mean], "o", color=color, ms=3, alpha=0.4, label=OTHERS)
     line = done.loc[is_slice].assign(at=values[is_slice]).sort_values("at")
     if len(line) < 2:
         return

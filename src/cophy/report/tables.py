@@ -217,7 +217,10 @@ def _cell(runs: pd.DataFrame, names: dict[str, str], metric: str, scale: float) 
     if runs.empty:
         return {"seeds": 0, "failed": failed}, runs
     runs = comparable_seeds(runs)
-    numbers = {"ours": runs[values].mean(), "sd": runs[values].std()}
+    sd = runs[values].std()
+    if not (sd > 0 or runs["is_trained"].any()):  # copy baselines have no random seed
+        sd = np.nan
+    numbers = {"ours": runs[values].mean(), "sd": sd}
     numbers |= {end: runs[f"{end}.{metric}"].mean() for end in ("low", "high")}
     return {name: scale * value for name, value in numbers.items()} | {"seeds": len(runs), "failed": failed}, runs
 
