@@ -51,7 +51,17 @@ HEADLINES = [
     *(("collision", split) for split in ("all", "sphere_to_cylinder", "cylinder_to_sphere")),
 ]
 BASELINES = ("copy_c", "copy_b", "copy_b_displaced", "replay", "trees")
-TOLD_MORE = ("in_sup", "in_without_pose", "trees_confounders", "noise_floor_rate", "noise_floor_jitter", *ORACLES)
+NEWER = ("cophynet_adam", "cophynet_canonical", "gns", "transformer", "alongside_statics")
+OF_ORACLES = r"(\+max_experiments-\d+)?"  # what their runs change: on how many test experiments they are asked
+TOLD_MORE = (
+    "in_sup",
+    "in_without_pose",
+    "cophynet_without_pose",
+    "trees_confounders",
+    "noise_floor_rate",
+    "noise_floor_jitter",
+    *ORACLES,
+)
 README_COLUMNS = [
     ("blocktower", "3to3"),
     ("blocktower", "3to4"),
@@ -315,11 +325,11 @@ def headlines(results: Results) -> str:
     parts = []
     for scenario, split in HEADLINES:
         rows = []
-        for method in (*BASELINES, *LEARNED, *TOLD_MORE):
+        for method in (*BASELINES, *LEARNED, *NEWER, *TOLD_MORE):
             cells = {
                 (measure, seed): results.cell(measure, scenario, split, method, size="small", change=change)
                 for measure in measures
-                for seed, change in enumerate(("", r"\+data_seed-1"))
+                for seed, change in enumerate((OF_ORACLES, rf"\+data_seed-1{OF_ORACLES}"))
             }
             texts = [cell.full(*measures[measure]) if cell else NOTHING for (measure, _), cell in cells.items()]
             trained = [cell for (measure, _), cell in cells.items() if measure == "mse" and cell]

@@ -191,11 +191,12 @@ def cost_and_error(_: Results) -> Data:
 def draw_cost(data: Data) -> Figure:
     """A panel per scenario, a point per training."""
     scenarios = list(dict.fromkeys(point["scenario"] for point in data))
+    shown = {method: color for method, color in COSTS.items() if method in {point["method"] for point in data}}
     figure, axes = plt.subplots(
-        1, len(scenarios), figsize=(4 * len(scenarios), 3.6), layout="constrained", squeeze=False
+        1, len(scenarios), figsize=(max(7, 4 * len(scenarios)), 3.8), layout="constrained", squeeze=False
     )
     for axis, scenario in zip(axes[0], scenarios, strict=True):
-        for method, color in COSTS.items():
+        for method, color in shown.items():
             points = [point for point in data if (point["scenario"], point["method"]) == (scenario, method)]
             marker = STYLES[method][0] if method in STYLES else "P"
             values = ([point[name] for point in points] for name in ("minutes", "mse"))

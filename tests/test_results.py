@@ -13,6 +13,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from cophy.training.checkpoints import read_checkpoint, read_file
 from tests.conftest import ROOT
 
 TABLE = ROOT / "docs" / "results" / "format_3.csv"
@@ -156,3 +157,8 @@ def test_the_hashes_of_published_weights_are_true() -> None:
         hashes = {line["file"]: line["sha256"] for line in csv.DictReader(lines)}
     files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (ROOT / "checkpoints").glob("*.ckpt")}
     assert hashes == files
+
+
+def test_published_weights_name_no_folder_of_the_machine_that_trained_them() -> None:
+    for path in (ROOT / "checkpoints").glob("*.ckpt"):
+        assert "outputs" not in read_checkpoint(read_file(path), path).origin["source"], path

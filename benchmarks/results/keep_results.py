@@ -27,7 +27,7 @@ NAMES = ["scenario", "split", "model", "ablation", "positions", "size", "variant
 KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
 SAME_RUN = [*KEY, "predictor", "training_seconds", "mse"]  # the seconds of two trainings differ
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
-DATA_KEYS = r"\+(size|data_seed)-\w+"  # parts of a variant that only say which data a run is on
+DATA_KEYS = r"\+(size|data_seed|max_experiments)-\w+"  # parts of a variant that only say which experiments a run is on
 TESTED = ["scenario", "split", "datasets"]  # what a run and the oracles that it is compared with have in common
 SHARE = ["share", "share_low", "share_high"]
 # paper Table 1: mean of the heights, then from top to bottom

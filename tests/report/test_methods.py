@@ -75,6 +75,7 @@ def test_only_comparable_methods_are_bold() -> None:
     lines = [measured("mse", 0.5, "cophynet"), measured("mse", 0.4, "drift")]
     assert best_of(*lines) == ["drift"]
     assert best_of(lines[0]) == []
+    assert best_of(*lines, measured("mse", 0.4, "npe")) == ["NPE", "drift"]  # a tie
     for more in (
         measured("mse", 0.1, "in", "gt_confounders"),
         measured("mse", 0.1, "drift", "supervised_confounders"),

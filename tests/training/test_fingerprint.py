@@ -129,6 +129,12 @@ def test_a_finished_training_is_found_in_another_split(run: Run, tmp_path: Path)
     assert start_training(other, "same", reuse=False, ckpt=None).finished is None
 
 
+def test_a_training_of_an_earlier_version_is_still_found(run: Run) -> None:
+    leave_checkpoints(run)
+    record_finished(run, "same", {key: value for key, value in FACTS.items() if key != "training_cpu_seconds"})
+    assert start_training(run, "same", reuse=True, ckpt=None).finished == FACTS | {"training_cpu_seconds": 0.0}
+
+
 @pytest.mark.parametrize(
     ("stored", "code", "said"),
     [

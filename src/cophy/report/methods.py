@@ -191,7 +191,9 @@ def _table(cells: pd.DataFrame, metric: str, name: str) -> TextTable:
     sentences = [_description(kept)]
     if best:
         direction = "lowest" if lower_is_better else "highest"
-        sentences.append(f"Bold: {direction} of the methods that see positions of AB and C alone.")
+        sentences.append(
+            f"Bold: {direction} of the methods that see positions of AB and C alone, each as chosen by validation."
+        )
     if len(kept) < len(cells):
         sentences.append("Of the settings of a sweep, the best by validation.")
     head = table_name(cells.iloc[0])
@@ -241,7 +243,7 @@ def _best(cells: pd.DataFrame, metric: str, *, lower_is_better: bool) -> set[Any
             column["competes"] & column["is_selected"] & largest[0] & largest[1], f"metrics.{metric}"
         ].dropna()
         if len(values) > 1:
-            best.add(values.idxmin() if lower_is_better else values.idxmax())
+            best |= {*values.index[values == (values.min() if lower_is_better else values.max())]}
     return best
 
 

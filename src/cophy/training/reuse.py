@@ -202,6 +202,8 @@ def _read(checkpoints: Path, name: str) -> dict[str, Any]:
         return {}
     except ValueError as error:
         raise CophyError(f"{path} is damaged ({error}): delete it to train again") from error
+    if name == FINISHED:  # earlier versions did not write it
+        content.setdefault("training_cpu_seconds", 0.0)
     if wrong := [key for key, kind in NOTES[name].items() if not isinstance(content.get(key), kind)]:
         raise CophyError(f"{path} has no valid {', '.join(wrong)}: delete it to train again")
     return content
