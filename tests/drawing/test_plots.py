@@ -44,3 +44,12 @@ def test_title_and_legend_of_trajectories_touch_nothing() -> None:
     suptitle, legend = figure.texts[0].get_window_extent(), figure.legends[0].get_window_extent()
     assert suptitle.y0 - axis.title.get_window_extent().y1 > 5 * point
     assert axis.xaxis.label.get_window_extent().y0 - legend.y1 > 5 * point
+
+
+def test_a_long_legend_fits_into_the_figure() -> None:
+    curves = {f"method {n} with a name that needs several lines": np.full(3, float(n)) for n in range(14)}
+    figure = draw_error_over_time(curves, frame_rate_hz=5.0)
+    figure.draw_without_rendering()
+    legend = figure.legends[0].get_window_extent()
+    assert legend.y0 >= 0
+    assert legend.y1 <= figure.bbox.y1

@@ -21,6 +21,7 @@ VIEWS = {"from above": (0, 1), "from the side": (0, 2)}  # the axes shown
 FRAMES_PER_MARKER = 4
 MIN_VIEW_M = 2.0  # keeps tiny movements from filling the figure
 LEGEND_LETTERS = 18  # in a line of a legend next to a figure
+LEGEND_LINE_INCHES, LEGEND_GAP_INCHES = 0.16, 0.08  # of such a legend: height of a line, and between two entries
 MIN_HEIGHT_CHANGE_M = 0.05  # of an object, for a view from the side
 # Okabe and Ito, without yellow: distinct for the colour-blind
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -207,10 +208,15 @@ def draw_error_over_time(
     axis.set(xlabel="time (s)", ylabel="position error (m)", title=title, xlim=(0, None), ylim=(0, None))
     axis.title.set_fontsize("medium")
     axis.grid(alpha=0.2)
-    handles = sorted(lines, key=lambda line: -float(np.asarray(line.get_ydata())[-1]))
+    handles: list[Any] = sorted(lines, key=lambda line: -float(np.asarray(line.get_ydata())[-1]))
     band = [Patch(color="0.8", label="95 % interval\nover clusters")] if bands else []
     if len(curves) > 1 or bands:
-        figure.legend(handles=[*handles, *band], loc="outside right center", frameon=False, fontsize="small")
+        handles += band
+        num_lines = sum(1 + str(handle.get_label()).count("\n") for handle in handles)
+        figure.set_figheight(
+            max(figure.get_figheight(), LEGEND_LINE_INCHES * num_lines + LEGEND_GAP_INCHES * len(handles))
+        )
+        figure.legend(handles=handles, loc="outside right center", frameon=False, fontsize="small")
     return figure
 
 
