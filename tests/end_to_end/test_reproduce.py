@@ -34,5 +34,5 @@ def test_a_row_of_the_results_is_not_made_again(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(reproduce, "OUTPUTS", tmp_path)
     monkeypatch.setattr(reproduce, "PARTS", {"rows": lambda size: jobs})
     monkeypatch.setattr(reproduce, "run_all", lambda left, workers: ran.extend(job.name for job in left) or [])
-    reproduce.main([], [], "small", 1, plan=False)
+    reproduce.main(["rows"], [], "small", 1, plan=False)
     assert ran == [jobs[1].name]
