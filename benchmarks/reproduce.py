@@ -3,8 +3,9 @@
 Parts: data (datasets), audit, headline (rows of the headline table: three training seeds on two datasets), oracles, rows (every
 method of the paper's tables on every split, from true positions), tables (results.csv, then tables and figures of the docs). All by
 default. Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side. What is finished or has
-a row in docs/results/results.csv is skipped (delete the row to make it again), and what was interrupted continues. Oracles are
-needed for the share of the possible gain, so a row does not replace their files. Logs: reproduce/ in the folder of outputs.
+a row in docs/results/results.csv is skipped (delete the row to make it again; trainings without a recorded optimiser are made
+again), and what was interrupted continues. Oracles are needed for the share of the possible gain, so a row does not replace
+their files. Logs: reproduce/ in the folder of outputs.
 """
 
 import os
@@ -74,7 +75,11 @@ def main(parts: list[str], scenarios: list[str], size: str, workers: int, plan: 
     """Print the plan and run it, part by part."""
     register()
     failed = []
-    kept = set(map(tuple, pd.read_csv(RESULTS, dtype=str, keep_default_na=False)[ROW].to_numpy()))
+    rows = pd.read_csv(RESULTS, dtype=str, keep_default_na=False)
+    is_current = (rows["training_seconds"] == "0") | (
+        rows["optimizer"] != ""
+    )  # not trained, or with the chosen optimiser
+    kept = set(map(tuple, rows[is_current][ROW].to_numpy()))
     for part in [part for part in PARTS if part in (parts or PARTS)]:
         jobs = [job for job in PARTS[part](size) if job.scenario in (scenarios or HEADLINE)]
         left = [job for job in jobs if not job.finished.exists() and job.row not in kept]

@@ -3,6 +3,7 @@
 Random inputs without empty slots; a step is forward, backward and Adam. Each result is written as it comes, so ten minutes are enough.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
@@ -45,7 +46,7 @@ def measure(device: str = "cuda") -> Iterator[Measured]:
             if how == "eager":
                 yield Measured(what, "time in kernels ÷ time", [share_in_kernels(step, device)])
         except RuntimeError as error:  # a result, too: this way does not work
-            yield Measured(f"{what}: {str(error).splitlines()[0][:80]}", "experiments/s", [0.0])
+            yield Measured(f"{what}: {str(error).splitlines()[0][:80]}", "experiments/s", [math.nan])
         if (size, model, precision, how) == ways[-1]:
             yield from derenderers(name, device)
 

@@ -192,7 +192,7 @@ NO_SWEEP = re.compile(r"Ambiguous value for argument '(.*)'|Sweep parameters '(.
 LISTS = ("num_objects", "metrics", "callbacks", "logger", "models", "splits", "compare", "render.modalities")  # keys
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
 OF_DISKS = (*FULL_DISK, errno.EIO, errno.EROFS, errno.EFBIG, errno.ESTALE)  # errors of writing may name no file
-MORE_IN_LIST = {"compare": ",another"}  # key whose list needs more than one name -> how the advice goes on
+SECOND_NAME = {"compare": ",another"}  # keys whose lists need two names -> the second in an example
 OF_RESOLVER = "CophyError raised while resolving interpolation: "
 SLURM_ERRORS = {  # text in errors of Hydra and submitit -> explanation
     'Could not detect "srun"': "hydra/launcher=slurm: there is no srun here, so this is no node of a SLURM cluster",
@@ -257,7 +257,7 @@ def explain(error: BaseException) -> str:
     if isinstance(cause, OmegaConfBaseException) and cause.key is not None:
         what = (cause.msg or str(cause)).splitlines()[0]
         if what.endswith("is not a ListConfig, list or tuple."):
-            second = MORE_IN_LIST.get(str(cause.full_key), "")
+            second = SECOND_NAME.get(str(cause.full_key), "")
             return f"{cause.full_key}={cause.value} must be a list: '{cause.full_key}=[{cause.value}{second}]'"
         if what.startswith(OF_RESOLVER):
             return what.removeprefix(OF_RESOLVER)

@@ -26,13 +26,18 @@ def test_a_finished_job_is_where_the_plan_looks_for_it(
 def test_a_row_of_the_results_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     reproduce = importlib.import_module("reproduce")
-    jobs = [reproduce.run_job("collision", "all", "copy_c", "small", seed, 1) for seed in (0, 1)]
+    monkeypatch.setattr(reproduce, "OUTPUTS", tmp_path)
+    jobs = [reproduce.run_job("collision", "all", row, "small", 0, 1) for row in ("copy_c", "in", "npe", "copy_b")]
     kept = tmp_path / "results.csv"
-    kept.write_text("scenario,split,model,ablation,size,variant,seed\ncollision,all,copy_c,full,small,+data_seed-1,0\n")
+    kept.write_text(
+        "scenario,split,model,ablation,size,variant,seed,training_seconds,optimizer\n"
+        "collision,all,copy_c,full,small,+data_seed-1,0,0,\n"
+        "collision,all,in,full,small,+data_seed-1,0,9.5,SOAP\n"
+        "collision,all,npe,full,small,+data_seed-1,0,9.5,\n"  # from before the optimiser was chosen
+    )
     ran: list[str] = []
     monkeypatch.setattr(reproduce, "RESULTS", kept)
-    monkeypatch.setattr(reproduce, "OUTPUTS", tmp_path)
     monkeypatch.setattr(reproduce, "PARTS", {"rows": lambda size: jobs})
     monkeypatch.setattr(reproduce, "run_all", lambda left, workers: ran.extend(job.name for job in left) or [])
     reproduce.main(["rows"], [], "small", 1, plan=False)
-    assert ran == [jobs[1].name]
+    assert ran == [job.name for job in jobs[2:]]

@@ -146,7 +146,7 @@ def test_a_training_of_an_earlier_version_is_still_found(run: Run) -> None:
 def test_a_finished_training_is_not_made_again_without_a_word(
     stored: dict[str, str], code: str, said: str, run: Run, caplog: pytest.LogCaptureFixture
 ) -> None:
-    message = f"the results in {run.directory} are of {said}: it trains again"
+    message = f"the results in {run.directory} come from {said}: the model is trained again"
     for is_reused, messages in ((True, [message]), (False, [])):
         leave_checkpoints(run)
         record_finished(run, "same", FACTS | stored)

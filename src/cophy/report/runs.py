@@ -178,9 +178,8 @@ def read_runs(outputs: Path) -> pd.DataFrame:
 
     Returns:
         One line per run (one of those that train nothing and differ in keys of training alone): names, directory, counts, epochs,
-        metric_dims, validation_mse, inputs (optional ones that the model
-        sees), every test metric and its interval (see `read_line`). `data` is what the run changes in its data, as text, and
-        `changes` what else it changes (key, value). A failed run has its `error` instead of results; `error` is None for the
+        metric_dims, validation_mse, inputs (optional ones that the model sees), every test metric and its interval (see
+        `read_line`). `data` is what the run changes in its data, as text, and `changes` what else it changes (key, value). A failed run has its `error` instead of results; `error` is None for the
         others. `attrs`: how many runs are `unused`, because they cannot be read; `root`, the folder that has those in `outputs`
         at their place, if none is read.
     """

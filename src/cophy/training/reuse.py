@@ -110,14 +110,16 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, cod
         wanted: Fingerprint of its training.
         reuse: Whether earlier trainings are looked for.
         ckpt: The checkpoint (ckpt=) that the training starts from.
-        code: See `hash_code`; says whether a finished training in the folder is of other code.
+        code: See `hash_code`; to name what has changed since the training in the folder.
     """
     if reuse and (checkpoints := _find_finished(run, wanted)) is not None:
         log.info("already trained on the same data with the same settings: %s (reuse=false trains again)", checkpoints)
         is_own = checkpoints.resolve() == run.checkpoints.resolve()
         return Start(_adopt(checkpoints, run), run.checkpoints / "best.ckpt", keeps_curves=is_own)
     if reuse and (finished := _read(run.checkpoints, FINISHED)).get("fingerprint", wanted) != wanted:
-        log.warning("the results in %s are of %s: it trains again", run.directory, _difference(finished, code))
+        log.warning(
+            "the results in %s come from %s: the model is trained again", run.directory, _difference(finished, code)
+        )
     last, stopped = run.checkpoints / "last.ckpt", _read(run.checkpoints, BEGUN)
     if reuse and stopped.get("fingerprint") == wanted and _is_complete(run.checkpoints):
         log.info("continues where it stopped: %s (reuse=false trains again)", last)
