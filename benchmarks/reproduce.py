@@ -43,11 +43,13 @@ HEADLINE = {
 }
 UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay"]
 TREES = ["trees", "trees_confounders"]
-NETWORKS = ["in", "npe", "cophynet", "alongside", "in_sup"]
+NETWORKS = ["in", "npe", "cophynet", "alongside", "alongside_statics", "in_sup"]
+ONLY = {"replay": "collision", "alongside_statics": "blocktower"}  # rows of one scenario
 ONCE = ["cophynet_adam", "in_without_pose", "cophynet_without_pose"]  # one training seed on the default split
 ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
-SEEDED = ["in", "cophynet", "alongside", "gns", "transformer"]  # rows with more than one training seed on every split
+# rows with more than one training seed on every split
+SEEDED = ["in", "cophynet", "alongside", "alongside_statics", "gns", "transformer"]
 SEEDS, DATA_SEEDS = (0, 1, 2), (0, 1)
 DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
 AUDIT_HOURS = 0.05  # estimated
@@ -119,7 +121,7 @@ def headline_jobs(size: str) -> Iterator[Job]:
         for split in splits:
             rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]
             for row in [*rows, *ONCE] if seed == 0 and split == splits[0] else rows:
-                if row != "replay" or scenario == "collision":
+                if ONLY.get(row, scenario) == scenario:
                     yield run_job(scenario, split, row, size, seed, data_seed)
 
 
