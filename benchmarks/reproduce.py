@@ -78,9 +78,8 @@ def main(parts: list[str], scenarios: list[str], size: str, workers: int, plan: 
     register()
     failed = []
     rows = pd.read_csv(RESULTS, dtype=str, keep_default_na=False)
-    is_current = (rows["training_seconds"] == "0") | (
-        rows["optimizer"] != ""
-    )  # not trained, or with the chosen optimiser
+    # not trained, or with the chosen optimiser
+    is_current = (rows["training_seconds"] == "0") | (rows["optimizer"] != "")
     kept = set(map(tuple, rows[is_current][ROW].to_numpy()))
     for part in [part for part in PARTS if part in (parts or PARTS)]:
         jobs = [job for job in PARTS[part](size) if job.scenario in (scenarios or HEADLINE)]

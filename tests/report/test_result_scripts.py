@@ -85,7 +85,7 @@ def test_a_de_renderer_is_kept_beside_predictors(
     assert np.isnan(kept["derenderer"])
 
 
-@pytest.mark.parametrize("script", ["bound_balls"], indirect=True)
+@pytest.mark.parametrize("script", ["idealised_balls"], indirect=True)
 @pytest.mark.parametrize("parts", [1, 2, 5])
 def test_idealised_balls_follow_closed_forms(script: ModuleType, parts: int) -> None:
     arena = script.Arena(half_width=4.0, radius=0.5, gravity=0.4, frames=5)
