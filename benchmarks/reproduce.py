@@ -1,38 +1,42 @@
-"""Make, or continue, the results of the docs: python benchmarks/reproduce.py [PART ...] [--scenario NAME] [--workers N] [--plan]
+"""Make, or continue, the results of the docs: python benchmarks/reproduce.py [PART ...] [--scenario NAME] [--size NAME] [--plan]
 
-Parts: data (datasets), audit, headline (rows of the headline table: three training seeds on two datasets), oracles, rows (every
-method of the paper's tables on every split, from true positions), tables (results.csv, then tables and figures of the docs). All by
-default. Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side. What is finished or has
-a row in docs/results/results.csv is skipped (delete the row to make it again; trainings without a recorded optimiser are made
-again), and what was interrupted continues. Oracles are needed for the share of the possible gain, so a row does not replace
-their files. Logs: reproduce/ in the folder of outputs.
+Parts: data (datasets), audit, headline (rows of the headline table: three training seeds, at size=small on two datasets), oracles,
+rows (every method of the paper's tables on every split, from true positions), derenderers, estimated (the same rows, tested on
+positions estimated from images), curves (learning curves), tables (results.csv, then tables and figures of the docs). All by
+default. Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side, here or each as a job
+of a cluster (--launcher slurm). What is finished or has a row in docs/results/results.csv is skipped (delete the row to make it
+again; trainings without a recorded optimiser are made again), and what was interrupted continues. Oracles are needed for the share
+of the possible gain, so a row does not replace their files. Logs: reproduce/ in the folder of outputs.
 """
 
 import os
+import resource
 import subprocess
 import sys
 import time
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
-from itertools import product
+from functools import cache, partial
+from itertools import chain, product
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from cophy.config import folder, generated_by, settings
+from cophy.config import folder, generated_by, settings, variant
+from cophy.dataset.splits import FRACTIONS
 from cophy.oracles.forecasts import SECONDS_PER_EXPERIMENT
+from cophy.report.paper_tables import ESTIMATED_IN_TESTING, TRUE_POSITIONS, methods, paper_tables
 from cophy.report.paper_tables import SIMULATED as SIMULATIONS
-from cophy.report.paper_tables import TRUE_POSITIONS, methods, paper_tables
 from cophy.schemas import register
 from cophy.training.run import METRICS, Run
 
 ROOT = Path(__file__).parents[1]
-ROW = ["scenario", "split", "model", "ablation", "size", "variant", "seed"]  # columns of results.csv
+ROW = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]  # columns of results.csv
 RESULTS = ROOT / "docs" / "results" / "results.csv"
 OUTPUTS = Path(folder("COPHY_OUTPUTS"))
 LOGS = OUTPUTS / "reproduce"
@@ -50,16 +54,29 @@ ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_veloci
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
 # rows with more than one training seed on every split
 SEEDED = ["in", "cophynet", "alongside", "alongside_statics", "gns", "transformer"]
-SEEDS, DATA_SEEDS = (0, 1, 2), (0, 1)
+SEEDS, DATA_SEEDS = (0, 1, 2), {"small": (0, 1)}  # data seed 0 alone for other sizes
+DERENDERER = "derenderer"
+# split and changes, so that one has seen all numbers of objects of a scenario
+DERENDERERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "blocktower": ("3to4", {}),
+    "balls": ("4to4", {"num_objects": [2, 3, 4, 5, 6]}),
+    "collision": ("all", {}),
+}
+CURVES = ["in", "in_sup", "cophynet", "alongside"]
+CURVE_COUNTS = (700, 2800, 8400)  # training experiments, besides all
 DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
 AUDIT_HOURS = 0.05  # estimated
+DERENDERER_HOURS = 0.3  # 20,000 frames at 112 px (docs/guides/images.md)
 ORACLE_EXPERIMENTS = 100  # ours: a quarter of the test split of size=small
 ORACLE_HOURS = ORACLE_EXPERIMENTS * SECONDS_PER_EXPERIMENT / 3600
 
 
 @dataclass
 class Job:
-    """A command, the file that says that it is finished, what is known of its cost, and the names of its row in results.csv."""
+    """A command, the file that says that it is finished, what is known of its cost, and the names of its row in results.csv.
+
+    Jobs with equal `training` share one: the second uses the weights of the first.
+    """
 
     scenario: str
     command: list[str]
@@ -67,44 +84,58 @@ class Job:
     hours: float = float("nan")
     megabytes: float = 0.0
     row: tuple[str, ...] = ()
+    training: tuple[object, ...] | None = None
 
     @property
     def name(self) -> str:
         return " ".join(self.command)
 
 
-def main(parts: list[str], scenarios: list[str], size: str, workers: int, plan: bool) -> None:
-    """Print the plan and run it, part by part."""
+def main(parts: list[str], scenarios: list[str], size: str, workers: int, launcher: str | None, plan: bool) -> None:
+    """Print the plan, run it part by part, and print what it took."""
     register()
-    failed = []
+    start = time.monotonic()
     rows = pd.read_csv(RESULTS, dtype=str, keep_default_na=False)
     # not trained, or with the chosen optimiser
     is_current = (rows["training_seconds"] == "0") | (rows["optimizer"] != "")
     kept = set(map(tuple, rows[is_current][ROW].to_numpy()))
+    left: dict[str, list[Job]] = {}
     for part in [part for part in PARTS if part in (parts or PARTS)]:
         jobs = [job for job in PARTS[part](size) if job.scenario in (scenarios or HEADLINE)]
-        left = [job for job in jobs if not job.finished.exists() and job.row not in kept]
-        print_plan(part, jobs, left)
-        if not plan:
-            failed += [job.name for job in run_all(left, workers)]
-    if not plan and TABLES in (parts or [TABLES]):
+        left[part] = [job for job in jobs if not job.finished.exists() and job.row not in kept]
+        print_plan(part, jobs, left[part])
+    print(
+        f"all parts, a training that several jobs share counted once: {in_hours(list(chain(*left.values())))} CPU-hours"
+    )
+    if plan:
+        return
+    failed = []
+    for jobs in left.values():
+        failed += run_all([job for job in jobs if not job.finished.exists()], workers, launcher)
+    print_cost(time.monotonic() - start)
+    if TABLES in (parts or [TABLES]):
         for script in ("benchmarks/results/keep_results.py", "docs/generate.py"):
             subprocess.run([sys.executable, str(ROOT / script)], check=True)
     if failed:
-        sys.exit("failed: " + "\nfailed: ".join(failed))
+        sys.exit("failed: " + "\nfailed: ".join(job.name for job in failed))
 
 
 def data_jobs(size: str) -> Iterator[Job]:
     """Datasets: all with data seed 0, those of the headline table with every data seed."""
     for scenario, counts in DATASETS.items():
         headline = settings("generate", f"scenario={scenario}").split.counts()
-        for count, seed in product(counts, DATA_SEEDS):
+        for count, seed in product(counts, data_seeds(size)):
             if seed == 0 or count in headline:
                 keys = [f"scenario={scenario}", f"num_objects=[{count}]", f"size={size}", f"data_seed={seed}"]
                 (states,) = generated_by(settings("generate", *keys))
                 seconds, megabytes = states.cost(states.spec.num_experiments)
                 command = ["generate", *keys, "workers=1"]
                 yield Job(scenario, command, states.directory / "manifest.json", seconds / 3600, megabytes)
+
+
+def data_seeds(size: str) -> tuple[int, ...]:
+    """Return the data seeds of the headline table."""
+    return DATA_SEEDS.get(size, (0,))
 
 
 def audit_jobs(size: str) -> Iterator[Job]:
@@ -116,7 +147,7 @@ def audit_jobs(size: str) -> Iterator[Job]:
 
 def headline_jobs(size: str) -> Iterator[Job]:
     """Rows of the headline table: first the first seed of everything, then the next."""
-    for seed, data_seed, (scenario, splits) in product(SEEDS, DATA_SEEDS, HEADLINE.items()):
+    for seed, data_seed, (scenario, splits) in product(SEEDS, data_seeds(size), HEADLINE.items()):
         for split in splits:
             rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]
             for row in [*rows, *ONCE] if seed == 0 and split == splits[0] else rows:
@@ -126,31 +157,68 @@ def headline_jobs(size: str) -> Iterator[Job]:
 
 def oracle_jobs(size: str) -> Iterator[Job]:
     """Oracles and noise floors on the default splits; the first of a dataset simulates for all."""
-    for row, data_seed, (scenario, splits) in product(SIMULATED, DATA_SEEDS, HEADLINE.items()):
-        changes = {"max_experiments": ORACLE_EXPERIMENTS}
-        job = run_job(scenario, splits[0], row, size, 0, data_seed, changes)
-        yield replace(job, hours=ORACLE_HOURS if row == ORACLES[0] else 0.01, row=())
+    for row, data_seed, (scenario, splits) in product(SIMULATED, data_seeds(size), HEADLINE.items()):
+        changes = {"model.max_experiments": ORACLE_EXPERIMENTS}
+        job = run_job(scenario, splits[0], row, size, 0, data_seed, changes=changes)
+        yield replace(job, hours=ORACLE_HOURS if row == ORACLES[0] else 0.01, row=(), training=None)
 
 
 def row_jobs(size: str) -> Iterator[Job]:
     """Every method of the paper's tables and beyond on every split: first one seed, then those of SEEDED."""
-    cells = [names for table in paper_tables() for _, _, names, _ in table.cells()]
-    rows = {(method.model, method.ablation): name for name, method in methods().items()}
-    wanted = dict.fromkeys(
-        (names["scenario"], names["split"], rows[names["model"], names["ablation"]])
-        for names in cells
-        if names["positions"] == TRUE_POSITIONS and not names.get("model", SIMULATIONS[0]).startswith(SIMULATIONS)
+    for seed, (scenario, split, row, _) in product(SEEDS, table_rows(estimated=False)):
+        if seed == 0 or row in SEEDED:
+            yield run_job(scenario, split, row, size, seed)
+
+
+def derenderer_jobs(size: str) -> Iterator[Job]:
+    """The networks that estimate positions from images, one per scenario."""
+    for scenario, (split, changes) in DERENDERERS.items():
+        yield replace(run_job(scenario, split, DERENDERER, size, changes=changes), hours=DERENDERER_HOURS)
+
+
+def estimated_jobs(size: str) -> Iterator[Job]:
+    """Every method of the tables on estimated positions, with one seed; trainings on true positions are used again."""
+    for scenario, split, row, positions in table_rows(estimated=True):
+        yield run_job(scenario, split, row, size, positions=positions)
+
+
+def table_rows(*, estimated: bool) -> list[tuple[str, str, str, str]]:
+    """Return scenario, split, method and positions of all cells of the tables that are trained or copied."""
+    names = {(method.model, method.ablation): name for name, method in methods().items()}
+    cells = [cell for table in paper_tables() for _, _, cell, _ in table.cells()]
+    return list(
+        dict.fromkeys(
+            (cell["scenario"], cell["split"], names[cell["model"], cell["ablation"]], cell["positions"])
+            for cell in cells
+            if (cell["positions"] != TRUE_POSITIONS) == estimated
+            and not cell.get("model", SIMULATIONS[0]).startswith(SIMULATIONS)
+        )
     )
-    for seed in SEEDS:
-        yield from (run_job(*names, size, seed, 0) for names in wanted if seed == 0 or names[-1] in SEEDED)
+
+
+def curve_jobs(size: str) -> Iterator[Job]:
+    """Learning curves on the default splits: the points below the whole training split."""
+    for (scenario, splits), row, count in product(HEADLINE.items(), CURVES, CURVE_COUNTS):
+        (states,) = generated_by(settings("train", f"scenario={scenario}", f"split={splits[0]}", f"size={size}"))
+        if count < FRACTIONS[0] * states.spec.num_experiments:
+            yield run_job(scenario, splits[0], row, size, changes={"training.num_experiments": count})
 
 
 @cache
-def known_hours(size: str) -> "pd.Series[float]":
-    """Median duration of the runs of this size by scenario, model and ablation."""
+def known_seconds() -> "pd.Series[float]":
+    """Median time of a training per experiment and epoch, by scenario, model and ablation; 0 where nothing is trained."""
     runs = pd.concat([pd.read_csv(RESULTS.with_name(f"{name}.csv")) for name in ("format_3", "superseded", "results")])
-    of_size = runs[(runs["size"] == size) & (runs["predictor"].isna())]
-    return of_size.groupby(["scenario", "model", "ablation"])["training_seconds"].median() / 3600
+    runs = runs[runs["predictor"].isna()]
+    seconds = runs["training_seconds"] / (runs["num_train"] * runs["max_epochs"].fillna(1))
+    return seconds.groupby([runs["scenario"], runs["model"], runs["ablation"]]).median()
+
+
+@cache
+def training_of(scenario: str, split: str, size: str) -> tuple[str, int]:
+    """Return what tells the training data of a split from those of others, and the experiments that are seen in training."""
+    config = settings("train", f"scenario={scenario}", f"split={split}", f"size={size}")
+    experiments = [FRACTIONS[0] * states.spec.num_experiments for states in generated_by(config)]
+    return str(config.split.train), round(experiments[0] * config.trainer.max_epochs)
 
 
 def run_job(
@@ -158,26 +226,47 @@ def run_job(
     split: str,
     row: str,
     size: str,
-    seed: int,
-    data_seed: int,
-    changes: dict[str, int] | None = None,
+    seed: int = 0,
+    data_seed: int = 0,
+    positions: str = TRUE_POSITIONS,
+    changes: Mapping[str, Any] | None = None,
 ) -> Job:
-    """Return the job of one run of train.py; `changes` are keys of its model."""
-    names = methods()[row].keys()
+    """Return the job of one run of train.py.
+
+    Args:
+        row: A method's name, or DERENDERER.
+        changes: Keys of its configuration, with their values.
+    """
+    names = {"model": row, "ablation": "full"} if row == DERENDERER else methods()[row].keys()
     changed = {"size": size if size != "small" else None, "data_seed": data_seed or None, **(changes or {})}
-    variant = "".join(f"+{key}-{value}" for key, value in changed.items() if value is not None)
-    place = Run(
-        scenario, split, names["model"], names["ablation"], "ground_truth", seed, size, variant, directory=Path()
-    ).place
-    command = ["train", f"scenario={scenario}", f"split={split}", f"+row={row}", f"size={size}", f"seed={seed}"]
-    command += [f"data_seed={data_seed}", *(f"model.{key}={value}" for key, value in (changes or {}).items())]
+    change = variant({key: value for key, value in changed.items() if value is not None})
+    place = Run(scenario, split, names["model"], names["ablation"], positions, seed, size, change, Path()).place
+    command = ["train", f"scenario={scenario}", f"split={split}"]
+    command += [f"model={row}" if row == DERENDERER else f"+row={row}", f"size={size}", f"seed={seed}"]
+    command += [
+        f"data_seed={data_seed}",
+        *(f"{key}={value}".replace(" ", "") for key, value in (changes or {}).items()),
+    ]
+    command += [f"positions={positions}"] if positions != TRUE_POSITIONS else []
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
-    identity = (scenario, split, names["model"], names["ablation"], size, variant, str(seed))
-    hours = known_hours(size).get((scenario, names["model"], names["ablation"]), float("nan"))
-    return Job(scenario, command, OUTPUTS / place / METRICS, hours, row=identity)
+    identity = (scenario, split, names["model"], names["ablation"], positions, size, change, str(seed))
+    trained_on, seen = training_of(scenario, split, size)
+    seconds = known_seconds().get((scenario, names["model"], names["ablation"]), float("nan")) * seen
+    sees_estimates = positions not in (TRUE_POSITIONS, ESTIMATED_IN_TESTING)
+    training = (scenario, trained_on, row, seed, change, sees_estimates)
+    return Job(scenario, command, OUTPUTS / place / METRICS, seconds / 3600, row=identity, training=training)
 
 
-PARTS = {"data": data_jobs, "audit": audit_jobs, "headline": headline_jobs, "oracles": oracle_jobs, "rows": row_jobs}
+PARTS = {
+    "data": data_jobs,
+    "audit": audit_jobs,
+    "headline": headline_jobs,
+    "oracles": oracle_jobs,
+    "rows": row_jobs,
+    "derenderers": derenderer_jobs,
+    "estimated": estimated_jobs,
+    "curves": curve_jobs,
+}
 TABLES = "tables"
 
 
@@ -188,23 +277,39 @@ def print_plan(part: str, jobs: list[Job], left: list[Job]) -> None:
         table.add_column(column)
     for scenario in dict.fromkeys(job.scenario for job in left):
         of = [job for job in left if job.scenario == scenario]
-        hours = pd.Series([job.hours for job in of])
-        unknown = f" and {hours.isna().sum()} unknown" if hours.isna().any() else ""
-        table.add_row(scenario, str(len(of)), f"{hours.sum():.1f}{unknown}", f"{sum(job.megabytes for job in of):.0f}")
+        table.add_row(scenario, str(len(of)), in_hours(of), f"{sum(job.megabytes for job in of):.0f}")
     Console().print(table)
 
 
-def run_all(jobs: list[Job], workers: int) -> list[Job]:
-    """Run jobs side by side; return those that failed."""
+def in_hours(jobs: list[Job]) -> str:
+    """Return the CPU-hours of jobs, a training that several share counted once."""
+    hours = pd.Series({job.training or job.name: job.hours for job in jobs}, dtype=float)
+    return f"{hours.sum():.1f}" + (f" and {hours.isna().sum()} unknown" if hours.isna().any() else "")
+
+
+def print_cost(seconds: float) -> None:
+    """Print what the commands took on this machine, those of a cluster excepted."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    folders = [Path(folder("COPHY_DATA")), OUTPUTS]
+    disk = sum(path.stat().st_size for each in folders for path in each.rglob("*") if path.is_file())
+    print(
+        f"{seconds / 3600:.2f} hours, {(used.ru_utime + used.ru_stime) / 3600:.2f} CPU-hours, at most "
+        f"{used.ru_maxrss / 1024**2:.1f} GiB of memory per process; data and outputs take {disk / 1e9:.1f} GB"
+    )
+
+
+def run_all(jobs: list[Job], workers: int, launcher: str | None = None) -> list[Job]:
+    """Run jobs side by side, or with one of Hydra's launchers; return those that failed."""
     LOGS.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(workers) as pool:
-        codes = list(pool.map(run, jobs))
+        codes = list(pool.map(partial(run, launcher=launcher), jobs))
     return [job for job, code in zip(jobs, codes, strict=True) if code]
 
 
-def run(job: Job) -> int:
+def run(job: Job, launcher: str | None = None) -> int:
     """Run a job, with one thread; its output goes to a log."""
     start, (script, *keys) = time.monotonic(), job.command
+    keys += ["-m", f"hydra/launcher={launcher}"] if launcher else []
     log = LOGS / ("_".join(job.command).replace("/", "-")[:200] + ".log")
     with log.open("ab") as output:
         process = subprocess.run(
@@ -226,5 +331,6 @@ if __name__ == "__main__":
     parser.add_argument(
         "--workers", type=int, default=os.cpu_count(), help="commands side by side (default: all cores)"
     )
+    parser.add_argument("--launcher", choices=["slurm"], help="each command as a job of a cluster, --workers at a time")
     parser.add_argument("--plan", action="store_true", help="only print the plan")
     main(**vars(parser.parse_args()))

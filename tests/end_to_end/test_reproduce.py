@@ -1,43 +1,94 @@
 """The plan of all results finds what its commands leave."""
 
 import importlib
+import subprocess
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
+@pytest.fixture
+def reproduce(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return importlib.import_module("reproduce")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("row", "changes"), [("copy_c", {}), ("trees", {}), ("oracle_feedforward", {"max_experiments": 2})]
+    ("row", "options"),
+    [
+        ("copy_c", {}),
+        ("trees", {}),
+        ("oracle_feedforward", {"changes": {"model.max_experiments": 2}}),
+        ("in", {"changes": {"training.num_experiments": 16}}),
+        ("derenderer", {"changes": {"num_images": 40}}),
+    ],
 )
 def test_a_finished_job_is_where_the_plan_looks_for_it(
-    row: str, changes: dict[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    row: str, options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reproduce: ModuleType
 ) -> None:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
     monkeypatch.chdir(tmp_path)
-    reproduce = importlib.import_module("reproduce")
-    job = reproduce.run_job("collision", "all", row, "tiny", 2, 1, changes)
+    job = reproduce.run_job("collision", "all", row, "tiny", 2, 1, **options)
     assert reproduce.run_all([job], workers=1) == []
     assert job.finished.exists()
 
 
-def test_a_row_of_the_results_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    reproduce = importlib.import_module("reproduce")
+def test_a_row_of_the_results_is_not_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reproduce: ModuleType
+) -> None:
     monkeypatch.setattr(reproduce, "OUTPUTS", tmp_path)
     jobs = [reproduce.run_job("collision", "all", row, "small", 0, 1) for row in ("copy_c", "in", "npe", "copy_b")]
     kept = tmp_path / "results.csv"
     kept.write_text(
-        "scenario,split,model,ablation,size,variant,seed,training_seconds,optimizer\n"
-        "collision,all,copy_c,full,small,+data_seed-1,0,0,\n"
-        "collision,all,in,full,small,+data_seed-1,0,9.5,SOAP\n"
-        "collision,all,npe,full,small,+data_seed-1,0,9.5,\n"  # from before the optimiser was chosen
+        "scenario,split,model,ablation,positions,size,variant,seed,training_seconds,optimizer\n"
+        "collision,all,copy_c,full,ground_truth,small,+data_seed-1,0,0,\n"
+        "collision,all,in,full,ground_truth,small,+data_seed-1,0,9.5,SOAP\n"
+        "collision,all,npe,full,ground_truth,small,+data_seed-1,0,9.5,\n"  # from before the optimiser was chosen
+        "collision,all,copy_b,full,derendered,small,+data_seed-1,0,0,\n"  # from other positions
     )
     ran: list[str] = []
     monkeypatch.setattr(reproduce, "RESULTS", kept)
     monkeypatch.setattr(reproduce, "PARTS", {"rows": lambda size: jobs})
-    monkeypatch.setattr(reproduce, "run_all", lambda left, workers: ran.extend(job.name for job in left) or [])
-    reproduce.main(["rows"], [], "small", 1, plan=False)
+    monkeypatch.setattr(reproduce, "run_all", lambda left, *others: ran.extend(job.name for job in left) or [])
+    reproduce.main(["rows"], [], "small", 1, None, plan=False)
     assert ran == [job.name for job in jobs[2:]]
+
+
+def test_rows_on_estimated_positions_use_the_trainings_on_true_ones_again(reproduce: ModuleType) -> None:
+    true, tested, trained = (
+        [reproduce.run_job("blocktower", split, "cophynet", "small", positions=positions) for split in ("3to3", "3to4")]
+        for positions in ("ground_truth", "train_ground_truth_test_derendered", "derendered")
+    )
+    hours = true[0].hours
+    assert hours > 0
+    assert reproduce.in_hours([*true, *tested]) == f"{hours:.1f}"
+    assert reproduce.in_hours([*true, *trained]) == f"{2 * hours:.1f}"
+    assert len({job.finished for job in [*true, *tested, *trained]}) == 6
+
+
+def test_the_parts_have_what_their_tables_need(reproduce: ModuleType) -> None:
+    cells = set(reproduce.table_rows(estimated=True))
+    assert ("blocktower", "3to3", "cophynet", "derendered") in cells  # Table 7
+    assert ("balls", "4to6", "in", "train_ground_truth_test_derendered") in cells
+    assert not any(row.startswith(("oracle", "noise_floor")) for _, _, row, _ in cells)
+    curves = [job.command for job in reproduce.curve_jobs("small")]
+    assert {key for command in curves for key in command if "num_experiments" in key} == {
+        "training.num_experiments=700"
+    }
+
+
+def test_a_launcher_makes_every_command_a_job_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reproduce: ModuleType
+) -> None:
+    commands: list[list[str]] = []
+    monkeypatch.setattr(reproduce, "LOGS", tmp_path)
+    monkeypatch.setattr(
+        subprocess, "run", lambda command, **others: commands.append(command) or SimpleNamespace(returncode=0)
+    )
+    job = reproduce.run_job("collision", "all", "in", "tiny")
+    assert reproduce.run_all([job], 1, "slurm") == []
+    assert commands[0][2:] == [*job.command[1:], "-m", "hydra/launcher=slurm"]
