@@ -5,8 +5,8 @@ rows (every method of the paper's tables on every split, from true positions), d
 positions estimated from images), curves (learning curves), tables (results.csv, then tables and figures of the docs). All by
 default. Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side, here or each as a job
 of a cluster (--launcher slurm). What is finished or has a row in docs/results/results.csv is skipped (delete the row to make it
-again; trainings without a recorded optimiser are made again), and what was interrupted continues. Oracles are needed for the share
-of the possible gain, so a row does not replace their files. Logs: reproduce/ in the folder of outputs.
+again; trainings without a recorded optimiser are made again, and oracles without errors in oracles.csv), and what was interrupted
+continues. Logs: reproduce/ in the folder of outputs.
 """
 
 import os
@@ -37,6 +37,7 @@ from cophy.training.run import METRICS, Run
 
 ROOT = Path(__file__).parents[1]
 ROW = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]  # columns of results.csv
+ERRORS = ["scenario", "split", "datasets", "model"]  # columns of oracles.csv
 RESULTS = ROOT / "docs" / "results" / "results.csv"
 OUTPUTS = Path(folder("COPHY_OUTPUTS"))
 LOGS = OUTPUTS / "reproduce"
@@ -51,6 +52,7 @@ NETWORKS = ["in", "npe", "cophynet", "alongside", "alongside_statics", "in_sup"]
 ONLY = {"replay": "collision", "alongside_statics": "blocktower"}  # rows of one scenario
 ONCE = ["cophynet_adam", "in_without_pose", "cophynet_without_pose"]  # one training seed on the default split
 ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
+ENDS = ("oracle_feedforward", "oracle_counterfactual")  # of the possible gain
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
 # rows with more than one training seed on every split
 SEEDED = ["in", "cophynet", "alongside", "alongside_statics", "gns", "transformer"]
@@ -95,10 +97,7 @@ def main(parts: list[str], scenarios: list[str], size: str, workers: int, launch
     """Print the plan, run it part by part, and print what it took."""
     register()
     start = time.monotonic()
-    rows = pd.read_csv(RESULTS, dtype=str, keep_default_na=False)
-    # not trained, or with the chosen optimiser
-    is_current = (rows["training_seconds"] == "0") | (rows["optimizer"] != "")
-    kept = set(map(tuple, rows[is_current][ROW].to_numpy()))
+    kept = rows_that_are_kept(RESULTS)
     left: dict[str, list[Job]] = {}
     for part in [part for part in PARTS if part in (parts or PARTS)]:
         jobs = [job for job in PARTS[part](size) if job.scenario in (scenarios or HEADLINE)]
@@ -118,6 +117,17 @@ def main(parts: list[str], scenarios: list[str], size: str, workers: int, launch
             subprocess.run([sys.executable, str(ROOT / script)], check=True)
     if failed:
         sys.exit("failed: " + "\nfailed: ".join(job.name for job in failed))
+
+
+def rows_that_are_kept(results: Path) -> set[tuple[str, ...]]:
+    """Return the names of the rows that need not be made again."""
+    rows = pd.read_csv(results, dtype=str, keep_default_na=False)
+    # not trained, or with the chosen optimiser
+    is_current = (rows["training_seconds"] == "0") | (rows["optimizer"] != "")
+    oracles = results.with_name("oracles.csv")  # for shares of the possible gain
+    errors = set(map(tuple, pd.read_csv(oracles, dtype=str)[ERRORS].to_numpy())) if oracles.exists() else set()
+    has_errors = rows[ERRORS].apply(tuple, axis=1).isin(errors)
+    return set(map(tuple, rows[is_current & (~rows["model"].isin(ENDS) | has_errors)][ROW].to_numpy()))
 
 
 def data_jobs(size: str) -> Iterator[Job]:
@@ -160,7 +170,7 @@ def oracle_jobs(size: str) -> Iterator[Job]:
     for row, data_seed, (scenario, splits) in product(SIMULATED, data_seeds(size), HEADLINE.items()):
         changes = {"model.max_experiments": ORACLE_EXPERIMENTS}
         job = run_job(scenario, splits[0], row, size, 0, data_seed, changes=changes)
-        yield replace(job, hours=ORACLE_HOURS if row == ORACLES[0] else 0.01, row=(), training=None)
+        yield replace(job, hours=ORACLE_HOURS if row == ORACLES[0] else 0.01, training=None)
 
 
 def row_jobs(size: str) -> Iterator[Job]:

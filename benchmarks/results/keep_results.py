@@ -1,7 +1,8 @@
 """Results that stay when outputs/ go: python benchmarks/results/keep_results.py [outputs [table.csv]]
 
 Adds every finished run to docs/results/results.csv, with the commit of this checkout, and with its share of the possible gain where
-both oracles are among the runs. A run that is in the table already (the same names, data and epochs) is replaced, but no training
+both oracles of its test data are known: from oracles.csv beside the table, to which the errors of oracles among the runs are
+added. A run that is in the table already (the same names, data and epochs) is replaced, but no training
 by a test of given weights (predictor=), whose commit is that of the test. One that was not made again keeps its commit. Run it
 before the code changes: no file of src/ or conf/ may differ from the commit.
 """
@@ -19,16 +20,20 @@ from cophy.config import folder
 from cophy.report.predictions import stored_scores
 from cophy.report.runs import read_line
 from cophy.report.tables import share_of_gain
+from cophy.scoring import Scores
 from cophy.training.run import METRICS
 
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "results" / "results.csv"
+ERRORS = "oracles.csv"  # of each oracle on each experiment
 NAMES = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]
 KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
 SAME_RUN = [*KEY, "predictor", "training_seconds", "mse"]  # the seconds of two trainings differ
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
 DATA_KEYS = r"\+(size|data_seed|max_experiments)-\w+"  # parts of a variant that only say which experiments a run is on
 TESTED = ["scenario", "split", "datasets"]  # what a run and the oracles that it is compared with have in common
+ENDS_KEY = [*TESTED, "model"]
+PER_EXPERIMENT = ["experiment", "cluster", "truth", "mse"]  # see `Scores`
 SHARE = ["share", "share_low", "share_high"]
 # paper Table 1: mean of the heights, then from top to bottom
 PIXELS = ("pixel_error_by_height", "pixel_error_3", "pixel_error_2", "pixel_error_1")
@@ -51,8 +56,8 @@ def main(outputs: Path, table: Path) -> None:
         sys.exit(f"{outputs}: no finished runs")
     found[SHARE] = np.nan
     predictors = found[(found["positions"] == "ground_truth") & ~found["model"].str.startswith("derenderer")]
-    for _, tested in predictors.groupby(TESTED):
-        found.loc[tested.index, SHARE] = shares(tested)
+    ends = errors_of_oracles(predictors, table.with_name(ERRORS))
+    found.loc[predictors.index, SHARE] = shares(predictors, ends)
     before = [pd.read_csv(table, keep_default_na=False, dtype=str)] if table.exists() else []
     merged = pd.concat([*before, found.reindex(columns=COLUMNS).map(as_text)], ignore_index=True).fillna("")
     merged["commit"] = merged.groupby(SAME_RUN)["commit"].transform("first")
@@ -81,14 +86,39 @@ def line_of(path: Path, commit: str) -> dict[str, object]:
     return line | measures | {"datasets": " ".join(line["dataset_ids"]), "max_epochs": line["epochs"], "commit": commit}
 
 
-def shares(tested: pd.DataFrame) -> list[list[float]]:
-    """The share of each run with its interval, of the experiments that the oracles were asked about; NaN without both oracles.
+def errors_of_oracles(predictors: pd.DataFrame, file: Path) -> pd.DataFrame:
+    """Add the errors of both oracles, wherever they are among the runs, to a file; return all in it.
 
-    Of oracles with settings of their own there is none.
+    Oracles with settings of their own are left out.
     """
-    plain = tested[tested["variant"].str.replace(DATA_KEYS, "", regex=True) == ""]
-    ends = [[stored_scores(run) for run in plain[plain["model"] == model].to_dict("records")] for model in ENDS]
-    return [list(share_of_gain([stored_scores(run)], *ends)) for run in tested.to_dict("records")]
+    plain = predictors["variant"].str.replace(DATA_KEYS, "", regex=True) == ""
+    parts = [pd.read_csv(file, dtype={"truth": str}).astype({"truth": float})] if file.exists() else []  # all digits
+    for run in predictors[plain & predictors["model"].isin(ENDS)].to_dict("records"):
+        scores = stored_scores(run)
+        errors = pd.DataFrame({name: getattr(scores, name) for name in PER_EXPERIMENT}).astype({"truth": float})
+        parts.append(errors.assign(**{name: run[name] for name in ENDS_KEY}))
+    if not parts:
+        return pd.DataFrame(columns=[*ENDS_KEY, *PER_EXPERIMENT])
+    names = [*ENDS_KEY, "experiment"]
+    errors = pd.concat(parts, ignore_index=True).drop_duplicates(names, keep="last").sort_values(names)
+    write_atomically(file, errors[[*ENDS_KEY, *PER_EXPERIMENT]].to_csv(index=False).encode())
+    return errors
+
+
+def shares(predictors: pd.DataFrame, errors: pd.DataFrame) -> list[list[float]]:
+    """The share of each run with its interval, of the experiments that the oracles were asked about; NaN without both oracles."""
+    oracles = {
+        key: Scores(
+            of["experiment"].to_numpy(), of["cluster"].to_numpy(), of["truth"].to_numpy(), {"mse": of["mse"].to_numpy()}
+        )
+        for key, of in errors.groupby(ENDS_KEY)
+    }
+    rows = []
+    for run in predictors.to_dict("records"):
+        keys = [(*(run[name] for name in TESTED), model) for model in ENDS]
+        ends = [[oracles[key]] if key in oracles else [] for key in keys]
+        rows.append(list(share_of_gain([stored_scores(run)], *ends)))
+    return rows
 
 
 def as_text(value: object) -> str:

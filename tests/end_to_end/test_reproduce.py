@@ -41,21 +41,26 @@ def test_a_row_of_the_results_is_not_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reproduce: ModuleType
 ) -> None:
     monkeypatch.setattr(reproduce, "OUTPUTS", tmp_path)
-    jobs = [reproduce.run_job("collision", "all", row, "small", 0, 1) for row in ("copy_c", "in", "npe", "copy_b")]
+    finished, again = ("copy_c", "in", "oracle_counterfactual"), ("npe", "copy_b", "oracle_feedforward")
+    jobs = [reproduce.run_job("collision", "all", row, "small", 0, 1) for row in (*finished, *again)]
     kept = tmp_path / "results.csv"
     kept.write_text(
-        "scenario,split,model,ablation,positions,size,variant,seed,training_seconds,optimizer\n"
-        "collision,all,copy_c,full,ground_truth,small,+data_seed-1,0,0,\n"
-        "collision,all,in,full,ground_truth,small,+data_seed-1,0,9.5,SOAP\n"
-        "collision,all,npe,full,ground_truth,small,+data_seed-1,0,9.5,\n"  # from before the optimiser was chosen
-        "collision,all,copy_b,full,derendered,small,+data_seed-1,0,0,\n"  # from other positions
+        "scenario,split,datasets,model,ablation,positions,size,variant,seed,training_seconds,optimizer\n"
+        "collision,all,2-x,copy_c,full,ground_truth,small,+data_seed-1,0,0,\n"
+        "collision,all,2-x,in,full,ground_truth,small,+data_seed-1,0,9.5,SOAP\n"
+        "collision,all,2-x,npe,full,ground_truth,small,+data_seed-1,0,9.5,\n"  # from before the optimiser was chosen
+        "collision,all,2-x,copy_b,full,derendered,small,+data_seed-1,0,0,\n"  # from other positions
+        "collision,all,2-x,oracle_counterfactual,full,ground_truth,small,+data_seed-1,0,0,\n"
+        "collision,all,2-x,oracle_feedforward,full,ground_truth,small,+data_seed-1,0,0,\n"  # without its errors
     )
+    errors = "collision,all,2-x,oracle_counterfactual,7,1,2.5,0.1\ncollision,all,2-y,oracle_feedforward,7,1,2.5,0.1\n"
+    kept.with_name("oracles.csv").write_text("scenario,split,datasets,model,experiment,cluster,truth,mse\n" + errors)
     ran: list[str] = []
     monkeypatch.setattr(reproduce, "RESULTS", kept)
     monkeypatch.setattr(reproduce, "PARTS", {"rows": lambda size: jobs})
     monkeypatch.setattr(reproduce, "run_all", lambda left, *others: ran.extend(job.name for job in left) or [])
     reproduce.main(["rows"], [], "small", 1, None, plan=False)
-    assert ran == [job.name for job in jobs[2:]]
+    assert ran == [job.name for job in jobs[len(finished) :]]
 
 
 def test_rows_on_estimated_positions_use_the_trainings_on_true_ones_again(reproduce: ModuleType) -> None:

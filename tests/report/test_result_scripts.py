@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import shutil
 from pathlib import Path
 from types import ModuleType
 
@@ -50,18 +51,30 @@ def test_a_run_keeps_the_commit_that_made_it(
 
 
 @pytest.mark.parametrize("script", ["keep_results"], indirect=True)
-def test_oracles_with_settings_of_their_own_give_no_share(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shares_need_both_oracles_and_outlive_their_runs(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pair, mse = np.arange(40) // 2, {"cophynet": 2.0, "oracle_feedforward": 5.0, "oracle_counterfactual": 1.0}
-    runs = pd.DataFrame([{"model": model, "variant": "+size-paper", "size": "paper"} for model in mse])
+    names = {"scenario": "balls", "split": "4to4", "datasets": "4-x", "size": "paper"}
+    runs = pd.DataFrame([{"model": model, "variant": "+size-paper"} | names for model in mse])
     own = runs.iloc[1:].assign(variant="+noise-1+size-paper")
+    elsewhere = runs[:1].assign(datasets="4-y")
 
     def scores(run: dict[str, str]) -> Scores:
         value = mse[run["model"]] + 7.0 * ("noise" in run["variant"])
         return scores_of_mse(np.full(40, value), pair)
 
+    def shares_of(*parts: pd.DataFrame) -> list[list[float]]:
+        found = pd.concat(parts, ignore_index=True)
+        shares: list[list[float]] = script.shares(found, script.errors_of_oracles(found, tmp_path / "oracles.csv"))
+        return shares
+
     monkeypatch.setattr(script, "stored_scores", scores)
-    assert script.shares(pd.concat([runs, own], ignore_index=True))[0] == pytest.approx([0.75] * 3)
-    assert np.isnan(script.shares(pd.concat([runs[:1], own], ignore_index=True))[0][0])
+    assert np.isnan(shares_of(runs[:1], own)[0][0])  # oracles with settings of their own give no share
+    assert np.isnan(shares_of(runs[:2])[0][0])
+    assert shares_of(runs, own)[0] == pytest.approx([0.75] * 3)
+    assert shares_of(runs[:1])[0] == pytest.approx([0.75] * 3)  # their errors are kept
+    assert np.isnan(shares_of(elsewhere)[0][0])
 
 
 @pytest.mark.parametrize("script", ["keep_results"], indirect=True)
@@ -80,9 +93,13 @@ def test_a_de_renderer_is_kept_beside_predictors(
         if model == "derenderer":
             (place / "predictions.npz").unlink()  # it leaves none
     script.main(tmp_path, tmp_path / "table.csv")
-    kept = pd.read_csv(tmp_path / "table.csv").set_index("model")["share"]
-    assert kept["cophynet"] == 0.75
-    assert np.isnan(kept["derenderer"])
+    for _ in range(2):
+        kept = pd.read_csv(tmp_path / "table.csv").set_index("model")["share"]
+        assert kept["cophynet"] == 0.75
+        assert np.isnan(kept["derenderer"])
+        for path in tmp_path.rglob("oracle_*"):  # shares outlive the runs of the oracles
+            shutil.rmtree(path)
+        script.main(tmp_path, tmp_path / "table.csv")
 
 
 @pytest.mark.parametrize("script", ["idealised_balls"], indirect=True)
