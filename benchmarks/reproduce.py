@@ -46,10 +46,10 @@ HEADLINE = {
     "balls": ["4to4"],
     "collision": ["all", "sphere_to_cylinder", "cylinder_to_sphere"],
 }
-UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay"]
+UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay", "spheres"]
 TREES = ["trees", "trees_confounders"]
 NETWORKS = ["in", "npe", "cophynet", "alongside", "alongside_statics", "in_sup"]
-ONLY = {"replay": "collision", "alongside_statics": "blocktower"}  # rows of one scenario
+ONLY = {"replay": "collision", "spheres": "balls", "alongside_statics": "blocktower"}  # rows of one scenario
 ONCE = ["cophynet_adam", "in_without_pose", "cophynet_without_pose"]  # one training seed on the default split
 ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # of the possible gain

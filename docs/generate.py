@@ -58,6 +58,7 @@ TOLD_MORE = (
     "in_without_pose",
     "cophynet_without_pose",
     "trees_confounders",
+    "spheres",
     "noise_floor_rate",
     "noise_floor_jitter",
     *ORACLES,

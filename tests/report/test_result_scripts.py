@@ -1,4 +1,4 @@
-"""The scripts of benchmarks/results compare and keep what belongs together; the physics of one agrees with closed forms."""
+"""The scripts of benchmarks/results compare and keep what belongs together."""
 
 import importlib
 import json
@@ -100,28 +100,3 @@ def test_a_de_renderer_is_kept_beside_predictors(
         for path in tmp_path.rglob("oracle_*"):  # shares outlive the runs of the oracles
             shutil.rmtree(path)
         script.main(tmp_path, tmp_path / "table.csv")
-
-
-@pytest.mark.parametrize("script", ["idealised_balls"], indirect=True)
-@pytest.mark.parametrize("parts", [1, 2, 5])
-def test_idealised_balls_follow_closed_forms(script: ModuleType, parts: int) -> None:
-    arena = script.Arena(half_width=4.0, radius=0.5, gravity=0.4, frames=5)
-
-    def rolled_out(x: list[float], speed: list[float], mass: list[float], friction: float) -> np.ndarray:
-        flat = (np.stack([np.array(each), np.zeros(len(each))], axis=-1)[None] for each in (x, speed))
-        balls = script.Spheres(*flat, np.array([mass]), np.full((1, len(x)), friction), np.ones((1, len(x)), bool))
-        positions = arena.roll_out(balls, parts)
-        assert positions.shape == (1, 4, len(x), 2)
-        np.testing.assert_allclose(positions[..., 1], 0, atol=1e-9)
-        return np.asarray(positions[0, :, :, 0])
-
-    t = np.arange(1, 5)
-    sliding = np.minimum(t, 0.7 * 2 / 7 / (0.4 * 0.5))  # until it rolls with 5/7 of its speed
-    expected = -3 + 0.7 * sliding - 0.4 * 0.5 * sliding**2 / 2 + 5 / 7 * 0.7 * (t - sliding)
-    np.testing.assert_allclose(rolled_out([-3.0], [0.7], [1.0], 0.5)[:, 0], expected)
-    hit = rolled_out([-2.0, 0.0], [0.8, 0.0], [1.0, 10.0], 0.0)  # touch after 1.25 frames, elastic
-    np.testing.assert_allclose(hit[0], [-1.2, 0.0], atol=1e-6)
-    np.testing.assert_allclose(hit[1:, 0], -1 - 0.8 * 9 / 11 * (t[1:] - 1.25), atol=1e-6)
-    np.testing.assert_allclose(hit[1:, 1], 0.8 * 2 / 11 * (t[1:] - 1.25), atol=1e-6)
-    wall = rolled_out([3.0], [0.8], [1.0], 0.0)[:, 0]
-    np.testing.assert_allclose(wall, 3.5 - np.abs(0.8 * t - 0.5))
