@@ -213,17 +213,18 @@ class FittedSpheres(nn.Module):
             if len(slots):
                 observed = inputs.observed[row, :, slots, :2].double().cpu()
                 initial, present = inputs.initial[row, slots, :2].double().cpu(), inputs.presence[row, slots].cpu()
-                outcome = self._predict(observed, initial, present).to(position)
+                outcome = self.draw_outcomes(observed, initial, present).mean(dim=0).to(position)
                 position[row, :, slots, :2] = torch.where(
                     present[:, None].to(position.device), outcome, initial.to(position)
                 )
         return Prediction(position)
 
-    def _predict(
+    def draw_outcomes(
         self, observed: Float[Tensor, "time ball 2"], initial: Float[Tensor, "ball 2"], present: Bool[Tensor, "ball"]
-    ) -> Float[Tensor, "steps ball 2"]:
+    ) -> Float[Tensor, "draw steps ball 2"]:
+        """Return draws of D of one experiment, given AB, and C and who is in it; double precision, on the CPU."""
         random = torch.Generator().manual_seed(0)  # the same for every experiment, whatever else is in the batch
-        values, evidence = self._weigh_hypotheses(observed, random)
+        values, evidence = self.weigh_hypotheses(observed, random)
         rows = evidence.softmax(dim=0).multinomial(self.draws, replacement=True, generator=random)
         mass, friction = values[rows].unbind(dim=-1)
         start = observed[:1].expand(self.draws, -1, -1)
@@ -235,13 +236,12 @@ class FittedSpheres(nn.Module):
             changes = _choice(CHANGES, CHANGE_SHARES, balls.mass.shape, random)[..., None]
             last = balls
             balls = replace(balls, velocity=balls.velocity + changes * _normal(balls.velocity.shape, random))
-        outcomes = self.arena.roll_out(
+        return self.arena.roll_out(
             replace(last, position=initial.expand_as(last.position), presence=present.expand_as(last.presence)),
             len(observed) - 1,
         )
-        return outcomes.mean(dim=0)
 
-    def _weigh_hypotheses(
+    def weigh_hypotheses(
         self, observed: Float[Tensor, "time ball 2"], random: torch.Generator
     ) -> tuple[Float[Tensor, "hypothesis ball 2"], Float[Tensor, "hypothesis"]]:
         """Return combinations of mass and friction of all balls, and the logarithm of the evidence for each."""
