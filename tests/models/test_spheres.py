@@ -14,7 +14,15 @@ from cophy.types import Inputs
 
 ARGUMENTS: dict[str, Any] = {
     **{"diameter": 1.0, "arena_half_width": 4.0, "gravity_z": -10.0, "frame_rate_hz": 5.0, "mass": [1.0, 10.0]},
-    **{"friction": [0.5, 1.0], "impacts": 4, "hypotheses": 16, "followers": 8, "draws": 200, "error": 0.05},
+    **{
+        "friction": [0.5, 1.0],
+        "restitution": [1.0],
+        "impacts": 4,
+        "hypotheses": 16,
+        "followers": 8,
+        "draws": 200,
+        "error": 0.05,
+    },
 }
 ARENA = Arena(half_width=4.0, radius=0.5, gravity=0.4, parts=4)
 STEPS = 14
@@ -135,6 +143,7 @@ def test_a_removed_ball_touches_nothing_and_one_missed_in_ab_stays() -> None:
     [
         ({"diameter": None}, "use scenario=balls"),
         ({"arena_half_width": None}, "use scenario=balls"),
+        ({"restitution": [0.0, 1.0]}, "use confounders=text"),
         ({"draws": 0}, "model.draws=0 must be at least 1"),
         ({"error": 0.0}, r"model.error=0\.0 must be positive"),
     ],

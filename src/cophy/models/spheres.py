@@ -173,6 +173,7 @@ class FittedSpheres(nn.Module):
         frame_rate_hz: float,
         mass: list[float],
         friction: list[float],
+        restitution: list[float],
         impacts: int,
         hypotheses: int,
         followers: int,
@@ -186,7 +187,7 @@ class FittedSpheres(nn.Module):
             arena_half_width: From the centre to a wall, m; None without walls.
             gravity_z: m/s².
             frame_rate_hz: Of AB and D.
-            mass, friction: The values that a ball can have.
+            mass, friction, restitution: The values that a ball can have; restitution must be 1.
             impacts: Impacts of a pair in a frame.
             hypotheses: Combinations of masses and frictions in a round; all of them if they are fewer.
             followers: Particles of the filter under each hypothesis.
@@ -199,6 +200,8 @@ class FittedSpheres(nn.Module):
         super().__init__()
         if diameter is None or arena_half_width is None:
             raise CophyError("model=spheres: it needs balls between walls, so use scenario=balls")
+        if restitution != [1]:
+            raise CophyError("model=spheres: it needs elastic balls, so use confounders=text")
         check_at_least(1, impacts=impacts, hypotheses=hypotheses, followers=followers, draws=draws)
         check_positive(diameter=diameter, arena_half_width=arena_half_width, frame_rate_hz=frame_rate_hz, error=error)
         self.arena = Arena(arena_half_width, diameter / 2, -gravity_z / frame_rate_hz**2, impacts)
