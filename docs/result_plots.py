@@ -9,7 +9,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 from PIL import Image
 from result_runs import COLUMNS, CURVE_METHODS, CURVES, FORMAT_4, SCENARIOS, Results, title
 
@@ -204,8 +204,9 @@ def draw_cost(data: Data) -> Figure:
             axis.plot(*values, marker, color=color, ls="", label=title(method), ms=6)
         axis.set(xscale="log", yscale="log", xlabel="CPU time of a training, minutes", ylabel="test MSE, m²")
         for each in (axis.xaxis, axis.yaxis):
+            each.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5)))
+            each.set_minor_formatter(NullFormatter())
             each.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
-            each.set_minor_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
         axis.tick_params(which="both", labelsize=9)
         axis.set_title(SCENARIOS[scenario], fontsize=11)
         axis.spines[["top", "right"]].set_visible(False)
