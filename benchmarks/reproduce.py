@@ -319,7 +319,7 @@ def run_all(jobs: list[Job], workers: int, launcher: str | None = None) -> list[
 def run(job: Job, launcher: str | None = None) -> int:
     """Run a job, with one thread; its output goes to a log."""
     start, (script, *keys) = time.monotonic(), job.command
-    keys += ["-m", f"hydra/launcher={launcher}"] if launcher else []
+    keys = ["-m", *keys, f"hydra/launcher={launcher}"] if launcher else keys
     log = LOGS / ("_".join(job.command).replace("/", "-")[:200] + ".log")
     with log.open("ab") as output:
         process = subprocess.run(

@@ -19,21 +19,27 @@ def reproduce(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("row", "options"),
+    ("row", "options", "launcher"),
     [
-        ("copy_c", {}),
-        ("trees", {}),
-        ("oracle_feedforward", {"changes": {"model.max_experiments": 2}}),
-        ("in", {"changes": {"training.num_experiments": 16}}),
-        ("derenderer", {"changes": {"num_images": 40}}),
+        ("copy_c", {}, None),
+        ("copy_c", {}, "local"),
+        ("trees", {}, None),
+        ("oracle_feedforward", {"changes": {"model.max_experiments": 2}}, None),
+        ("in", {"changes": {"training.num_experiments": 16}}, None),
+        ("derenderer", {"changes": {"num_images": 40}}, None),
     ],
 )
 def test_a_finished_job_is_where_the_plan_looks_for_it(
-    row: str, options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reproduce: ModuleType
+    row: str,
+    options: dict[str, Any],
+    launcher: str | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    reproduce: ModuleType,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     job = reproduce.run_job("collision", "all", row, "tiny", 2, 1, **options)
-    assert reproduce.run_all([job], workers=1) == []
+    assert reproduce.run_all([job], 1, launcher) == []
     assert job.finished.exists()
 
 
@@ -96,4 +102,4 @@ def test_a_launcher_makes_every_command_a_job_of_its_own(
     )
     job = reproduce.run_job("collision", "all", "in", "tiny")
     assert reproduce.run_all([job], 1, "slurm") == []
-    assert commands[0][2:] == [*job.command[1:], "-m", "hydra/launcher=slurm"]
+    assert commands[0][2:] == ["-m", *job.command[1:], "hydra/launcher=slurm"]
