@@ -1,10 +1,10 @@
 """Spheres: an idealised physics of balls is fitted to AB and then started from C. Nothing is trained; not in the paper.
 
-The model is told the laws of motion and the values that masses and frictions can have, and infers which they are, and the
-initial velocities, from AB of one experiment:
+The laws of motion are given, as are the values that masses and frictions can have. Masses, frictions and initial velocities of an
+experiment are inferred from its AB:
 
 1. Masses and frictions: under each hypothesis, every ball is followed through AB by a particle filter, which predicts a frame
-   from the observed positions before it. Where impacts go otherwise than a hypothesis says, it loses.
+   from the observed positions before it. The evidence for a hypothesis is the likelihood of AB under it.
 2. Initial velocities: from many starts, least squares on the first frames under hypotheses drawn from step 1. A ball that touches
    another in the first frame has several solutions.
 3. Draws of both are rolled out over more and more frames of AB, and those that agree are multiplied, with small changes.
@@ -30,10 +30,8 @@ ROLL = 2.5  # mass times squared radius over moment of inertia, of a solid spher
 TINY = 1e-12
 SPEED_AFTER_SLIDING = 1.1  # of a first guess: a ball is faster at t = 0 than on average in the first frame
 JITTERS, SHARES = (0.005, 0.02, 0.1), (0.5, 0.35, 0.15)  # of a velocity between two frames, m per frame, and how often
-START_JITTER, START_SHARE = (
-    0.35,
-    0.3,
-)  # of an initial velocity, m per frame: a ball may touch another in the first frame
+START_JITTER = 0.35  # of an initial velocity, m per frame: a ball may touch another in the first frame
+START_SHARE = 0.3  # of initial velocities with this jitter
 CHANGES, CHANGE_SHARES = (0.0, 0.001, 0.003, 0.01), (0.4, 0.2, 0.2, 0.2)  # of a draw that is multiplied, m per frame
 MAX_CORRECTION = 0.3  # m per frame
 FIRST_FRAMES, ITERATIONS, DIFFERENCE = 2, 4, 1e-4  # of least squares: frames, steps, and m per frame for a slope
@@ -233,16 +231,13 @@ class FittedSpheres(nn.Module):
         start = observed[:1].expand(self.draws, -1, -1)
         balls = Spheres(start, torch.zeros_like(start), mass, friction, torch.ones_like(mass, dtype=torch.bool))
         balls = self._fit_velocities(balls, observed, random)
-        for frames in (*FRAMES, FRAMES[-1]):
-            frames = min(frames, len(observed) - 1)
+        for frames in FRAMES:
             balls = self._resample(balls, self._misfit(balls, observed, frames), random)
             changes = _choice(CHANGES, CHANGE_SHARES, balls.mass.shape, random)[..., None]
-            last = balls
             balls = replace(balls, velocity=balls.velocity + changes * _normal(balls.velocity.shape, random))
-        return self.arena.roll_out(
-            replace(last, position=initial.expand_as(last.position), presence=present.expand_as(last.presence)),
-            len(observed) - 1,
-        )
+        balls = self._resample(balls, self._misfit(balls, observed, FRAMES[-1]), random)
+        in_c = replace(balls, position=initial.expand_as(balls.position), presence=present.expand_as(balls.presence))
+        return self.arena.roll_out(in_c, len(observed) - 1)
 
     def weigh_hypotheses(
         self, observed: Float[Tensor, "time ball 2"], random: torch.Generator
@@ -287,7 +282,7 @@ class FittedSpheres(nn.Module):
             if time == 0:
                 width = torch.where(torch.rand(mass.shape, generator=random) < START_SHARE, START_JITTER, width)
             jitter = width[..., None].to(mass) * torch.randn(now.velocity.shape, generator=random)
-            jitter[first[:, 0]] = 0  # one particle goes on undisturbed
+            jitter[first[:, 0]] = 0  # one particle keeps its velocity
             # a ball that already rolls keeps 5/7 of a change of velocity in its rotation
             moved = now._replace(velocity=now.velocity + jitter, rolling=now.rolling + jitter * ROLL / (1 + ROLL))
             after = self.arena.step(moved, balls)
@@ -310,7 +305,6 @@ class FittedSpheres(nn.Module):
         self, balls: Spheres, observed: Float[Tensor, "time ball 2"], random: torch.Generator
     ) -> Spheres:
         """Fit the initial velocities of each draw to the first frames: Levenberg–Marquardt with robust weights."""
-        frames = min(FIRST_FRAMES, len(observed) - 1)
         motion = (observed[1] - observed[0]).expand_as(balls.position)
         velocity = motion
         for _ in range(3):  # of balls that touch nothing in the first frame
@@ -323,10 +317,12 @@ class FittedSpheres(nn.Module):
         nudges = DIFFERENCE * torch.eye(unknowns, dtype=velocity.dtype).view(unknowns, *velocity.shape[1:])
         repeated = torch.arange(draws).repeat_interleave(unknowns)
         damping = torch.full((draws,), 1e-2, dtype=velocity.dtype)
-        error, misfit = self._errors(balls, observed, frames), self._misfit(balls, observed, frames)
+        error, misfit = self._errors(balls, observed, FIRST_FRAMES), self._misfit(balls, observed, FIRST_FRAMES)
         for _ in range(ITERATIONS):
             nudged = replace(balls[repeated], velocity=(balls.velocity[:, None] + nudges).flatten(0, 1))
-            slopes = self._errors(nudged, observed, frames).view(draws, unknowns, *error.shape[1:]) - error[:, None]
+            slopes = (
+                self._errors(nudged, observed, FIRST_FRAMES).view(draws, unknowns, *error.shape[1:]) - error[:, None]
+            )
             weights = 1 / (1 + error.square().sum(-1, keepdim=True) / (2 * self.error) ** 2)
             slope, weighted = (slopes / DIFFERENCE).flatten(2), (weights * error).flatten(1)
             matrix = slope @ (slope * weights.expand_as(error).flatten(1)[:, None]).transpose(1, 2)
@@ -334,7 +330,10 @@ class FittedSpheres(nn.Module):
             step = -torch.linalg.solve(matrix, slope @ weighted[..., None])[..., 0]
             step = step * (MAX_CORRECTION / step.abs().amax(dim=1, keepdim=True).clamp(min=TINY)).clamp(max=1)
             moved = replace(balls, velocity=balls.velocity + step.view_as(velocity))
-            new_error, new_misfit = self._errors(moved, observed, frames), self._misfit(moved, observed, frames)
+            new_error, new_misfit = (
+                self._errors(moved, observed, FIRST_FRAMES),
+                self._misfit(moved, observed, FIRST_FRAMES),
+            )
             better = new_misfit < misfit
             balls = replace(balls, velocity=torch.where(better[:, None, None], moved.velocity, balls.velocity))
             error = torch.where(better[:, None, None, None], new_error, error)
@@ -345,7 +344,9 @@ class FittedSpheres(nn.Module):
     def _errors(
         self, balls: Spheres, observed: Float[Tensor, "time ball 2"], frames: int
     ) -> Float[Tensor, "draw frame ball 2"]:
-        return self.arena.roll_out(balls, frames) - observed[1 : frames + 1]
+        """Return the difference to AB in the first frames, or in all if AB has fewer."""
+        target = observed[1 : frames + 1]
+        return self.arena.roll_out(balls, len(target)) - target
 
     def _misfit(self, balls: Spheres, observed: Float[Tensor, "time ball 2"], frames: int) -> Float[Tensor, "draw"]:
         """Return the negative log-likelihood of AB up to a frame."""
