@@ -50,7 +50,11 @@ UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay", "spheres"]
 TREES = ["trees", "trees_confounders"]
 NETWORKS = ["in", "npe", "cophynet", "alongside", "alongside_statics", "in_sup"]
 ONLY = {"replay": "collision", "spheres": "balls", "alongside_statics": "blocktower"}  # rows of one scenario
-ONCE = ["cophynet_adam", "in_without_pose", "cophynet_without_pose"]  # one training seed on the default split
+ONCE = [
+    "cophynet_adam",
+    "in_without_pose",
+    "cophynet_without_pose",
+]  # one training seed and dataset on the default split
 ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # of the possible gain
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
@@ -160,7 +164,7 @@ def headline_jobs(size: str) -> Iterator[Job]:
     for seed, data_seed, (scenario, splits) in product(SEEDS, data_seeds(size), HEADLINE.items()):
         for split in splits:
             rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]
-            for row in [*rows, *ONCE] if seed == 0 and split == splits[0] else rows:
+            for row in [*rows, *ONCE] if seed == data_seed == 0 and split == splits[0] else rows:
                 if ONLY.get(row, scenario) == scenario:
                     yield run_job(scenario, split, row, size, seed, data_seed)
 

@@ -1,13 +1,11 @@
 """Simulation, search, rendering, and what a second worker brings."""
 
-import resource
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
-from measure import NUM_OBJECTS, REPEATS, ROOT, Measured, cpu_seconds
+from measure import NUM_OBJECTS, REPEATS, Measured, cpu_seconds
+from speed_startup import cpu_seconds_of
 
 from cophy.config import settings
 from cophy.dataset.images import Images
@@ -91,13 +89,9 @@ def second_worker() -> list[float]:
 
 def _generating(workers: int) -> float:
     """Measure the CPU-s of generate.py and its workers for 480 towers in four shards."""
-    size = ["size.experiments_per_shard=120", "size.num_experiments.blocktower.3=480"]
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    size = ["size=tiny", "size.experiments_per_shard=120", "size.num_experiments.blocktower.3=480"]
     with tempfile.TemporaryDirectory() as data_dir:
-        command = [sys.executable, "src/generate.py", "num_objects=[3]", f"workers={workers}", f"data_dir={data_dir}"]
-        subprocess.run([*command, "size=tiny", *size], cwd=ROOT, check=True, capture_output=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        return cpu_seconds_of("generate.py", "num_objects=[3]", f"workers={workers}", f"data_dir={data_dir}", *size)
 
 
 def generate_states(name: str, num_objects: int, num_experiments: int, data_dir: Path, *, per_shard: int = 2) -> States:

@@ -1,7 +1,6 @@
 """Seconds of report.py over 864 runs: the names and metrics of docs/results/*.csv, and random predictions."""
 
 import json
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -72,10 +71,3 @@ def _write_predictions(directory: Path, scenario: Scenario, error: float) -> Non
     arrays = {"target": target, "position": target + np.float32(error) * noise, "initial": target[:, 0]}
     arrays |= {"presence": np.ones((NUM_TEST, scenario.num_slots), bool), "pair": np.arange(NUM_TEST) // 2}
     write_predictions(directory, arrays)
-
-
-if __name__ == "__main__":
-    from cophy.schemas import register
-
-    register()
-    write_runs(Path(sys.argv[1]))

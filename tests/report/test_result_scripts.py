@@ -1,4 +1,4 @@
-"""The scripts of benchmarks/results compare and keep what belongs together."""
+"""The script that keeps results keeps what belongs together."""
 
 import importlib
 import json
@@ -18,26 +18,12 @@ SCRIPTS = Path(__file__).parents[2] / "benchmarks" / "results"
 
 
 @pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
-    """The script whose name the test gives."""
+def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """benchmarks/results/keep_results.py."""
     monkeypatch.syspath_prepend(SCRIPTS)
-    return importlib.import_module(request.param)
+    return importlib.import_module("keep_results")
 
 
-@pytest.mark.parametrize("script", ["compare_splits"], indirect=True)
-@pytest.mark.parametrize(("tested_on", "said"), [("3-x", "2 in both"), ("4-y", "2, 2")])
-def test_pairs_of_other_data_are_not_compared_one_by_one(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], tested_on: str, said: str
-) -> None:
-    for split, ids, error in (("3to3", ["3-x"], 1.0), ("3to4", ["3-x", tested_on], 2.0)):
-        place = PLACE.parts[0] / Path(split, *PLACE.parts[2:])
-        leave(tmp_path / place, json.dumps(content(split=split, dataset_ids=ids, variant="")), error=error)
-    script.main("cophynet", "3to4", "3to3", tmp_path)
-    line = [cell.strip() for cell in capsys.readouterr().out.splitlines()[-1].split("|")]
-    assert line[5:9] == [said, "4.000", "1.000", "3.000 [3.000, 3.000]"]
-
-
-@pytest.mark.parametrize("script", ["keep_results"], indirect=True)
 def test_a_run_keeps_the_commit_that_made_it(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -50,7 +36,6 @@ def test_a_run_keeps_the_commit_that_made_it(
         assert pd.read_csv(table)["commit"].tolist() == [kept]
 
 
-@pytest.mark.parametrize("script", ["keep_results"], indirect=True)
 def test_shares_need_both_oracles_and_outlive_their_runs(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -77,7 +62,6 @@ def test_shares_need_both_oracles_and_outlive_their_runs(
     assert np.isnan(shares_of(elsewhere)[0][0])
 
 
-@pytest.mark.parametrize("script", ["keep_results"], indirect=True)
 def test_a_de_renderer_is_kept_beside_predictors(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
