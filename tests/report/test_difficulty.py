@@ -14,6 +14,7 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States
 from cophy.report.difficulty import EVERYTHING, TITLES, draw, groups, mse_by_difficulty, page
+from cophy.report.predictions import stored_scores
 from cophy.training.predictor import prediction_arrays
 from cophy.training.run import write_predictions
 from cophy.types import Prediction
@@ -45,9 +46,8 @@ def finished_run(arrays: dict[str, np.ndarray], directory: Path, seed: int = 0, 
 
 
 def broken_down(lines: list[dict[str, Any]], arrays: dict[str, np.ndarray], spec: DatasetSpec = SPEC) -> pd.DataFrame:
-    runs = pd.DataFrame(lines)
-
-    return mse_by_difficulty(runs, arrays, spec, Part(3))
+    scores = {line["directory"]: stored_scores(line) for line in lines}
+    return mse_by_difficulty(pd.DataFrame(lines), scores, arrays, spec, Part(3))
 
 
 def test_groups_add_up_to_the_mse_of_the_run(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import logging
 import textwrap
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,17 +13,15 @@ from matplotlib.figure import Figure
 
 from cophy.bootstrap import interval, mean
 from cophy.dataset.difficulty import difficulty
-from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import Part
-from cophy.dataset.states import clusters_of, sort_by_twins
+from cophy.dataset.states import sort_by_twins
 from cophy.drawing.plots import square_root, style
 from cophy.report.figures import row_name, row_title, sort_rows
 from cophy.report.render import interval as interval_text
 from cophy.report.runs import comparable_seeds
 from cophy.scenario import Scenario
-from cophy.scoring import Predictions, Scores, Truth, average, score
-from cophy.training.run import read_predictions
+from cophy.scoring import Scores, average
 
 log = logging.getLogger(__name__)
 
@@ -40,12 +39,15 @@ QUANTITIES = {
 TITLES = {EVERYTHING: "all", **CATEGORIES, **QUANTITIES}
 
 
-def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: DatasetSpec, part: Part) -> pd.DataFrame:
+def mse_by_difficulty(
+    runs: pd.DataFrame, scores: Mapping[Path, Scores], arrays: dict[str, np.ndarray], spec: DatasetSpec, part: Part
+) -> pd.DataFrame:
     """Break the test MSE of runs down by what makes an experiment hard.
 
     Args:
         runs: Finished predictors (see `read_runs`) that were tested on this part of the dataset. A run whose predictions
             are not of the whole test split is left out; the log names it. A row shows its `comparable_seeds`.
+        scores: Scores of the runs by directory.
         arrays: The dataset.
         spec: Its description.
         part: The part that is tested on.
@@ -56,16 +58,15 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
         difference; NaN elsewhere.
     """
     arrays = sort_by_twins(arrays, spec)
-    arrays["cluster"] = clusters_of(spec, arrays["experiment"])
     tested, lines = np.flatnonzero(part.select_split(arrays, "test", spec.scenario)), []
-    truth = _truth({name: array[tested] for name, array in arrays.items()}, spec.scenario)
+    ids, truth = arrays["experiment"][tested], _truth(arrays, spec.scenario)[tested]
     measures = difficulty(arrays, spec)
     values = {name: measures[name][tested] for name in TITLES if name in measures}
     for keys, row_runs in runs.groupby([*SECTION, "model", "ablation"]):
         seeds = [
-            scores
+            of_seed
             for run in comparable_seeds(row_runs).to_dict("records")
-            if (scores := _scores(run, read_predictions(run["directory"]), truth, spec)) is not None
+            if (of_seed := _aligned(scores[run["directory"]], ids, truth, run, spec)) is not None
         ]
         if not seeds:
             continue
@@ -73,13 +74,13 @@ def mse_by_difficulty(runs: pd.DataFrame, arrays: dict[str, np.ndarray], spec: D
         section = dict(zip(SECTION, names, strict=False)) | {"row": row_name(*names[-2:])}
         all_scores = average(seeds)
         for by, group, rows in groups(values):
-            scores = all_scores.select(rows)
-            low, high = interval(scores.mse, scores.cluster)
+            group_scores = all_scores.select(rows)
+            low, high = interval(group_scores.mse, group_scores.cluster)
             counts = {"experiments": int(rows.sum()), "seeds": len(seeds)}
-            numbers = {"mse": mean(scores.mse), "low": low, "high": high}
+            numbers = {"mse": mean(group_scores.mse), "low": low, "high": high}
             if by in WHOLE_PAIRS:
-                explained = scores.values["twin_difference_explained"]
-                ends = interval(explained, scores.cluster)
+                explained = group_scores.values["twin_difference_explained"]
+                ends = interval(explained, group_scores.cluster)
                 numbers |= {"explained": mean(explained), "explained_low": ends[0], "explained_high": ends[1]}
             lines.append({**section, "by": by, "group": group, **counts, **numbers})
     return pd.DataFrame(lines)
@@ -108,41 +109,27 @@ def _thirds(value: np.ndarray) -> list[tuple[str, np.ndarray]]:
     return [(f"{edges[k]:.3g} to {edges[k + 1]:.3g}", known & (third == k)) for k in range(3)]
 
 
-def _truth(arrays: dict[str, np.ndarray], scenario: Scenario) -> Truth:
-    """Return the truth of test experiments, from the arrays of `sort_by_twins`."""
-    targets = to_batch(arrays, scenario).targets
-    return Truth(
-        experiment=arrays["experiment"],
-        position=targets.position.numpy(),
-        stable=targets.stable.numpy(),
-        presence=targets.presence.numpy(),
-        initial=targets.initial.numpy(),
-        pair=arrays["twin"],
-        cluster=arrays["cluster"],
-        cell=targets.cell.numpy(),
-        metric_dims=scenario.task.metric_dims,
-    )
+def _truth(arrays: dict[str, np.ndarray], scenario: Scenario) -> np.ndarray:
+    """Return the (experiment,) sums of the true coordinates of D, see `Scores.truth`."""
+    stride, present = scenario.clock.states_per_frame, arrays["presence"][:, 1, None, :, None]
+    positions = np.where(present, arrays["states"][:, 1, stride::stride, :, :3], 0.0)
+    return np.asarray(positions.sum(axis=(1, 2, 3), dtype=np.float64))
 
 
-def _scores(run: dict[Any, Any], predictions: dict[str, np.ndarray], truth: Truth, spec: DatasetSpec) -> Scores | None:
-    """Return the scores of one run.
-
-    None where its predictions are not of this whole test split.
-    """
-    directory, count, total = run["directory"], len(predictions["experiment"]), len(truth.experiment)
-    _, rows, stored = np.intersect1d(truth.experiment, predictions["experiment"], return_indices=True)
-    if (
-        spec.id not in run["dataset_ids"]
-        or len(rows) < count
-        or not np.array_equal(predictions["target"][stored], truth.position[rows])
-        or not np.array_equal(predictions["presence"][stored], truth.presence[rows])
-    ):
+def _aligned(
+    scores: Scores, ids: np.ndarray, truth: np.ndarray, run: dict[Any, Any], spec: DatasetSpec
+) -> Scores | None:
+    """Return the scores of one run in the order of the ids; None where they are not of this whole test split."""
+    directory, count, total = run["directory"], len(scores.experiment), len(ids)
+    _, rows, stored = np.intersect1d(ids, scores.experiment, return_indices=True)
+    is_of_data = spec.id in run["dataset_ids"] and len(rows) == count
+    if not is_of_data or not np.allclose(scores.truth[stored], truth[rows]):
         log.error("%s: its predictions are not of the test split of %s: run it again", directory, spec.id)
         return None
     if count < total:  # an oracle; its groups would hold other experiments than those of the models
         log.info("%s: not in MSE by difficulty, as it predicted %d of %d test experiments", directory, count, total)
         return None
-    return score(Predictions.from_arrays(predictions), truth)
+    return scores.select(stored[np.argsort(rows)])
 
 
 MAX_PANELS_PER_ROW = 4

@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import chain
@@ -17,7 +17,7 @@ from cophy.dataset.splits import Split
 from cophy.dataset.states import States
 from cophy.drawing.plots import write_figure
 from cophy.errors import CophyError
-from cophy.report import figures, render
+from cophy.report import difficulty, figures, render
 from cophy.report.methods import method_cells, method_tables
 from cophy.report.paper_tables import paper_tables
 from cophy.report.predictions import StoredPredictions, read_stored_predictions
@@ -25,6 +25,7 @@ from cophy.report.runs import DatasetIds, elsewhere, filter_runs, notice, read_r
 from cophy.report.sweeps import draw_sweep, find_sweeps, finished_sweeps, sweep_table
 from cophy.report.tables import fill
 from cophy.scenario import Scenario
+from cophy.scoring import Scores
 from cophy.workers import worker_pool
 
 log = logging.getLogger(__name__)
@@ -123,10 +124,10 @@ class Report:
         names = self.finished["scenario"].unique() if len(self.finished) else ()
         self.scenarios = {str(name): configurations.scenario(str(name)) for name in names}
         scores = {directory: predictions.scores for directory, predictions in self.stored.items()}
+        self.difficulty = self._mse_by_difficulty(scores)
         tables = paper_tables() if view.paper is not False else ()
         filled = [fill(table, standard, scores, supplement.participants) for table in tables]
         self.filled = [table for table in filled if table.has_runs or view.paper]
-        self.difficulty = self._mse_by_difficulty()
 
     def show(self) -> None:
         """Print the tables of all runs, their sweeps, and the paper's tables."""
@@ -159,8 +160,6 @@ class Report:
         """Write all tables as Markdown, LaTeX and CSV; return the names of their files."""
         texts = self._texts()
         if len(self.difficulty):
-            from cophy.report import difficulty
-
             texts["difficulty.csv"] = self.difficulty.to_csv(index=False)
             texts["difficulty.md"] = difficulty.page(self.difficulty, self.scenarios)
         for name, text in texts.items():
@@ -207,12 +206,10 @@ class Report:
                 yield f"sweep-{sweep.name}", figure
         yield from self._stability_distributions()
         if len(self.difficulty):
-            from cophy.report import difficulty
-
             yield from difficulty.draw(self.difficulty, self.scenarios)
         yield from self.supplement.figures.items()
 
-    def _mse_by_difficulty(self) -> pd.DataFrame:
+    def _mse_by_difficulty(self, scores: Mapping[Path, Scores]) -> pd.DataFrame:
         """Return the lines of `cophy.report.difficulty.mse_by_difficulty` on the default split of each scenario."""
         if self.configurations.dataset is None or not self.stored or self.finished.empty:
             return pd.DataFrame()
@@ -222,9 +219,7 @@ class Report:
                 part = self.configurations.default_split(str(name)).test
                 states = self.configurations.dataset(str(name), part.num_objects, str(size))
                 if states.is_finished():
-                    from cophy.report import difficulty  # imports torch, which takes seconds; most reports need none
-
-                    frames.append(difficulty.mse_by_difficulty(group, states.load(), states.spec, part))
+                    frames.append(difficulty.mse_by_difficulty(group, scores, states.load(), states.spec, part))
         return pd.concat(frames) if frames else pd.DataFrame()
 
     def _stability_distributions(self) -> Iterator[tuple[str, Figure]]:
