@@ -128,5 +128,5 @@ def test_a_closed_output_ends_the_program_as_it_ends_others(monkeypatch: pytest.
     with os.fdopen(writer, "w") as closed, monkeypatch.context() as context:
         context.setattr("sys.stdout", closed)
         with pytest.raises(SystemExit) as end:
-            show("A table", pd.DataFrame({"a": ["b"]}, index=["x"]))
+            show("A table", pd.DataFrame({"a": [Cell("b")]}, index=["x"]))
     assert end.value.code == 128 + signal.SIGPIPE

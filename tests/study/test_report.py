@@ -61,9 +61,9 @@ def test_simulated_participants_fill_a_table_of_their_own() -> None:
         Cell.line
     )
     assert cells.loc["Human", "Mean"] == "— / 54.54"
-    ((title, table),) = study_tables(only_simulated).items()
-    assert "simulated participants" in title
-    assert table.index.tolist() == ["stays, with AB", "stays, without AB"]
+    (table,) = study_tables(only_simulated)
+    assert "simulated participants" in table.title
+    assert table.cells.index.tolist() == ["stays, with AB", "stays, without AB"]
 
 
 def test_human_participants_do_not_compete_and_have_no_share() -> None:

@@ -33,14 +33,20 @@ def main(cfg: DictConfig) -> None:
 
         write_comparisons(Path(config.outputs), Path(config.directory), config.compare)
         return
-    from cophy.report.pipeline import Configurations, View, write_report  # matplotlib takes a second, likewise
-    from cophy.study.report import read_supplement
+    from cophy.report.pipeline import (  # matplotlib takes a second, likewise
+        Configurations,
+        Supplement,
+        View,
+        write_report,
+    )
+    from cophy.study.report import draw_studies, read_answers, study_tables, table_numbers
 
     data = ComposedData(config.source.name, Path(config.data_dir))
     dataset = data.dataset if config.source.is_generated else None
     configurations = Configurations(data.scenario, data.default_split, dataset, data.dataset_ids)
     outputs = Path(config.outputs)
-    supplement = read_supplement(outputs, data.dataset)
+    studies = read_answers(outputs, data.dataset)
+    supplement = Supplement(table_numbers(studies), study_tables(studies), draw_studies(studies))
     view = View(config.models, config.splits, config.paper)
     write_report(outputs, Path(config.directory), configurations, supplement, view)
 

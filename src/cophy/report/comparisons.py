@@ -260,12 +260,12 @@ def _adjusted(p: "pd.Series[float]") -> "pd.Series[float]":
     return pd.Series(false_discovery_control(known), known.index).reindex(p.index) if len(known) else p
 
 
-def comparison_tables(frame: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
-    """Yield title, table of `Cell` and what was tested, of each pair of methods and measure."""
+def comparison_tables(frame: pd.DataFrame) -> Iterator[render.TextTable]:
+    """Yield a table of each pair of methods and measure."""
     for (measure, one, other), lines in frame.groupby(["measure", "method", "other"], sort=False):
         rows = {_label(line, frame): _cells(line) for line in lines.to_dict("records")}
-        columns = [str(one), str(other), *COLUMNS_OF_TEST]
-        yield f"{one} vs {other}: {MEASURES[str(measure)].title}", _wide(rows, columns), _amounts(lines)
+        cells, title = _wide(rows, [str(one), str(other), *COLUMNS_OF_TEST]), MEASURES[str(measure)].title
+        yield render.TextTable(f"{FILES}-{measure}", f"{one} vs {other}: {title}", cells, _amounts(lines))
 
 
 def latex_tables(frame: pd.DataFrame) -> Iterator[render.TextTable]:
@@ -348,9 +348,9 @@ def _amounts(lines: pd.DataFrame) -> str:
     return f"{text}.{few}{single}"
 
 
-def count_tables(frame: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
-    """Yield title, method × method of wins/ties/losses over columns, and what was tested, of each measure."""
-    for measure, all_lines in frame.groupby("measure", sort=False):
+def count_tables(frame: pd.DataFrame) -> Iterator[render.TextTable]:
+    """Yield method × method of wins/ties/losses over columns, of each measure."""
+    for number, (measure, all_lines) in enumerate(frame.groupby("measure", sort=False)):
         lines = all_lines[all_lines["p"].notna()]
         titles = list(dict.fromkeys([*all_lines["method"], *all_lines["other"]]))
         table = pd.DataFrame(MISSING, index=titles, columns=titles)
@@ -360,7 +360,9 @@ def count_tables(frame: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]
             table.loc[other, one] = f"{losses} / {ties} / {wins}"
         if len(lines):
             columns = dict.fromkeys(_label(line, frame) for line in lines.to_dict("records"))
-            yield f"Wins / ties / losses: {MEASURES[str(measure)].title}", table, f"Columns: {', '.join(columns)}."
+            title = f"Wins / ties / losses: {MEASURES[str(measure)].title}"
+            caption = f"{COUNTS_CAPTION} Columns: {', '.join(columns)}."
+            yield render.TextTable(f"{FILES}-wins-{number}", title, table.map(render.Cell), caption)
 
 
 def write_comparisons(outputs: Path, directory: Path, names: Sequence[str]) -> None:
@@ -372,32 +374,24 @@ def write_comparisons(outputs: Path, directory: Path, names: Sequence[str]) -> N
         raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there")
     frame = compare_methods(outputs, names)
     counts, tables = list(count_tables(frame)), list(comparison_tables(frame))
-    sections = [
-        *((title, table, f"{COUNTS_CAPTION} {tested}") for title, table, tested in counts),
-        *((title, table.map(render.Cell.text), tested) for title, table, tested in tables),
-    ]
-    parts = [f"## {title}\n\n{table.to_markdown()}\n\n{caption}\n" for title, table, caption in sections]
     latex = [render.latex(table, keep_intervals=True) for table in latex_tables(frame)]
-    for number, (title, table, tested) in enumerate(counts):
-        name, caption = f"{FILES}-wins-{number}", f"{COUNTS_CAPTION} {tested}"
-        latex.append(render.latex(render.TextTable(name, title, table.map(render.Cell), caption)))
     texts = {
-        "md": "\n".join([*parts, CAPTION, ""]),
+        "md": "\n".join([*map(render.markdown, [*counts, *tables]), CAPTION, ""]),
         "csv": frame.to_csv(index=False),
-        "tex": "\n".join([render.LATEX_HEAD, *latex]),
+        "tex": "\n".join([render.LATEX_HEAD, *latex, *map(render.latex, counts)]),
     }
     directory.mkdir(parents=True, exist_ok=True)
     for kind, text in texts.items():
         write_atomically(directory / f"{FILES}.{kind}", text.encode())
-    for title, table, tested in tables:
-        if title.startswith(f"{frame['method'].iloc[0]} vs "):
-            render.show(title, table.map(_stacked), tested)
+    for table in tables:
+        if table.title.startswith(f"{frame['method'].iloc[0]} vs "):
+            render.show(table.title, table.cells.map(_stacked), table.caption)
     log.info(f"{notice(CAPTION)}\n")
-    for title, table, tested in counts:
-        render.show(title, table, f"{COUNTS_CAPTION} {tested}")
+    for table in counts:
+        render.show(table.title, table.cells, table.caption)
     log.info(f"All pairs are in\n{directory / FILES}.md, .csv and .tex")
 
 
-def _stacked(cell: render.Cell) -> str:
+def _stacked(cell: render.Cell) -> render.Cell:
     """Return a cell of the terminal, with what is not its number below that."""
-    return "\n".join(filter(None, (cell.ours, cell.deviation, cell.interval)))
+    return render.Cell("\n".join(filter(None, (cell.ours, cell.deviation, cell.interval))))

@@ -22,7 +22,7 @@ from cophy.report.methods import method_cells, method_tables
 from cophy.report.paper_tables import paper_tables
 from cophy.report.predictions import StoredPredictions, read_stored_predictions
 from cophy.report.runs import DatasetIds, elsewhere, filter_runs, notice, read_runs, standard_runs
-from cophy.report.sweeps import draw_sweep, find_sweeps, finished_sweeps, sweep_table
+from cophy.report.sweeps import draw_sweep, find_sweeps, sweep_table
 from cophy.report.tables import fill
 from cophy.scenario import Scenario
 from cophy.scoring import Scores
@@ -62,14 +62,12 @@ class Supplement:
     Attributes:
         participants: Numbers of human participants for the paper's tables: scenario, split, setting, metric, ours, sd, low,
             high.
-        tables: Title -> table of text.
-        caption: Caption of these tables.
+        tables: Its own tables.
         figures: By name.
     """
 
     participants: pd.DataFrame | None = None
-    tables: dict[str, pd.DataFrame] = field(default_factory=dict)
-    caption: str = ""
+    tables: list[render.TextTable] = field(default_factory=list)
     figures: dict[str, Figure] = field(default_factory=dict)
 
 
@@ -146,8 +144,8 @@ class Report:
             )
             for share in shares:
                 render.show(share.title, share.cells)
-        for title, cells in self.supplement.tables.items():
-            render.show(title, cells, self.supplement.caption)
+        for table in self.supplement.tables:
+            render.show(table.title, table.cells, table.caption)
 
     def _show_failures(self) -> None:
         failed = self.runs[self.runs["error"].notna()].to_dict("records") if len(self.runs) else []
@@ -170,10 +168,11 @@ class Report:
         """Return the content of the files of tables by name."""
         papers = [render.paper_text_tables(filled, whole=bool(self.view.paper)) for filled in self.filled]
         tables = [*self.tables, *map(sweep_table, self.sweeps), *chain.from_iterable(papers)]
-        of_latex = [*self.tables, *map(sweep_table, finished_sweeps(self.cells)), *chain.from_iterable(papers)]
-        supplement = render.markdown_sections(self.supplement.tables, self.supplement.caption)
+        # without failed settings, and so without keys that only these change
+        sweeps = find_sweeps(self.cells[self.cells["seeds"] > 0]) if len(self.cells) else ()
+        of_latex = [*self.tables, *map(sweep_table, sweeps), *chain.from_iterable(papers)]
         return {
-            "tables.md": "\n".join([*map(render.markdown, tables), supplement]),
+            "tables.md": "\n".join(map(render.markdown, [*tables, *self.supplement.tables])),
             "tables.tex": "\n".join([render.LATEX_HEAD, *filter(None, map(render.latex, of_latex))]),
             "document.tex": render.LATEX_DOCUMENT,
             "runs.csv": self._as_csv(self.runs),

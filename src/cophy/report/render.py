@@ -282,16 +282,6 @@ def to_latex(text: str) -> str:
     return r"\allowbreak{}".join("".join(LATEX.get(character, character) for character in part) for part in parts)
 
 
-def markdown_sections(tables: dict[str, pd.DataFrame], caption: str) -> str:
-    """Return tables of `Cell` or text by their titles as sections, with one caption below all."""
-    sections = [f"\n## {title}\n\n{table.map(_line).to_markdown()}\n" for title, table in tables.items()]
-    return "".join([*sections, f"\n{caption}\n"]) if sections else ""
-
-
-def _line(cell: Cell | str) -> str:
-    return cell.line() if isinstance(cell, Cell) else str(cell)
-
-
 class _Console(Console):
     """A console that ends the program as commands do whose output is closed, see `cophy.cli`."""
 
@@ -308,11 +298,10 @@ def show(title: str, cells: pd.DataFrame, caption: str = "") -> None:
 
     Args:
         title: Printed above.
-        cells: `Cell` or texts; the index is the first column.
+        cells: Rows × columns of `Cell`; the index is the first column.
         caption: Printed below.
     """
     console = _Console(highlight=False)
-    cells = cells.map(lambda cell: cell if isinstance(cell, Cell) else Cell(str(cell)))
     texts = cells.map(lambda cell: _lines(cell, interval=True))
     if console.width < WIDTH_FOR_INTERVALS or len(_blocks(texts, console.width)) > 1:
         short = cells.map(lambda cell: _lines(cell, interval=False))

@@ -75,12 +75,6 @@ def find_sweeps(cells: pd.DataFrame) -> Iterator[Sweep]:
         yield Sweep(title, re.sub(r"[^\w.-]+", "_", "-".join(parts)), swept.loc[order], keys)
 
 
-def finished_sweeps(cells: pd.DataFrame) -> Iterator[Sweep]:
-    """Yield the sweeps without failed settings, and so without keys that only these change."""
-    if len(cells):
-        yield from find_sweeps(cells[cells["seeds"] > 0])
-
-
 def _value(changed: dict[str, str], key: str, directory: Path) -> str:
     """Return the value of a key as text; where a run does not change it, the one in its configuration."""
     if key in changed:

@@ -16,8 +16,8 @@ from matplotlib.patches import Circle
 
 from cophy.dataset.states import States, sort_by_twins
 from cophy.errors import CophyError, check_name
-from cophy.report.pipeline import Supplement
-from cophy.report.runs import notice
+from cophy.report.render import Cell, TextTable
+from cophy.report.runs import MISSING, notice
 from cophy.study.answers import ANSWERS, PERSON, SIMULATED
 from cophy.study.experiments import IMAGE, Scenes, image_directory
 from cophy.study.judging import human_rows, judge, read_clicks, read_descriptions
@@ -49,17 +49,6 @@ class StudyAnswers:
     directory: Path
     judged: pd.DataFrame
     rows: pd.DataFrame
-
-
-def read_supplement(outputs: Path, dataset: Dataset) -> Supplement:
-    """Return what the studies below a folder add to the report.
-
-    Args:
-        outputs: Studies are in its folder `study`, one folder per scenario.
-        dataset: Returns the dataset of a study.
-    """
-    studies = read_answers(outputs, dataset)
-    return Supplement(table_numbers(studies), study_tables(studies), CAPTION, draw_studies(studies))
 
 
 def read_answers(outputs: Path, dataset: Dataset) -> list[StudyAnswers]:
@@ -178,18 +167,18 @@ def table_numbers(studies: Sequence[StudyAnswers]) -> pd.DataFrame:
     return pd.concat([pd.DataFrame(), *largest.values()]).rename(columns=names)
 
 
-def study_tables(studies: Sequence[StudyAnswers]) -> dict[str, pd.DataFrame]:
-    """Return title -> table of the answers of human participants, and separately of simulated ones."""
-    tables: dict[str, pd.DataFrame] = {}
+def study_tables(studies: Sequence[StudyAnswers]) -> list[TextTable]:
+    """Return tables of the answers of human participants, and separately of simulated ones."""
+    tables: list[TextTable] = []
     for study in studies:
         for are_human in (True, False):
             rows = study.rows[(study.rows["kind"] == PERSON) == are_human]
             if len(rows):
                 who = "human participants" if are_human else "simulated participants"
                 title = f"Human study, {study.scenario} {study.split}: {who}"
-                while title in tables:  # a study with other settings
+                while title in [table.title for table in tables]:  # a study with other settings
                     title += " (another study)"
-                tables[title] = _table(rows)
+                tables.append(TextTable(f"study-{len(tables)}", title, _table(rows).fillna(MISSING).map(Cell), CAPTION))
     return tables
 
 
