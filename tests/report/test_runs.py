@@ -312,8 +312,7 @@ def test_only_what_an_earlier_report_wrote_is_removed(tmp_path: Path) -> None:
     unused: Any = None
     configurations = pipeline.Configurations(unused, unused, None, no_dataset)
     supplement = pipeline.Supplement(figures={"study-a": Figure()})
-    view = pipeline.View(paper=False)
-    pipeline.write_report(tmp_path, tmp_path / "report", configurations, supplement, view)
+    pipeline.write_report(tmp_path, tmp_path / "report", configurations, supplement, paper=False)
     left = {path.relative_to(tmp_path / "report").as_posix() for path in (tmp_path / "report").rglob("*.*")}
     written = ["tables.md", "tables.tex", "document.tex", "runs.csv", "methods.csv"]
     assert left == {*others, *written, "figures/study-a.png", "figures/study-a.pdf"}

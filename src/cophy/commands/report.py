@@ -28,27 +28,23 @@ DATA_OVERRIDE = re.compile(r"\+\+(scenario|size)\.[\w.]+=[^${}]*")
 @cli.command("report")
 def main(cfg: DictConfig) -> None:
     config = to_config(cfg, ReportConfig)
+    outputs, directory = Path(config.outputs), Path(config.directory)
     if config.compare:
         from cophy.report.comparisons import write_comparisons  # imports SciPy, which --help does not need
 
-        write_comparisons(Path(config.outputs), Path(config.directory), config.compare)
+        write_comparisons(outputs, directory, config.compare)
         return
-    from cophy.report.pipeline import (  # matplotlib takes a second, likewise
-        Configurations,
-        Supplement,
-        View,
-        write_report,
-    )
+    from cophy.report.pipeline import Configurations, Supplement, write_report  # matplotlib takes a second
     from cophy.study.report import draw_studies, read_answers, study_tables, table_numbers
 
     data = ComposedData(config.source.name, Path(config.data_dir))
     dataset = data.dataset if config.source.is_generated else None
     configurations = Configurations(data.scenario, data.default_split, dataset, data.dataset_ids)
-    outputs = Path(config.outputs)
     studies = read_answers(outputs, data.dataset)
     supplement = Supplement(table_numbers(studies), study_tables(studies), draw_studies(studies))
-    view = View(config.models, config.splits, config.paper)
-    write_report(outputs, Path(config.directory), configurations, supplement, view)
+    write_report(
+        outputs, directory, configurations, supplement, models=config.models, splits=config.splits, paper=config.paper
+    )
 
 
 class ComposedData:

@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import chain
@@ -71,20 +71,6 @@ class Supplement:
     figures: dict[str, Figure] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class View:
-    """Which runs and tables a report shows.
-
-    Attributes:
-        models, splits: See `filter_runs`.
-        paper: Whether it shows the paper's tables; None for those that runs fill, as far as they do.
-    """
-
-    models: list[str] = field(default_factory=list)
-    splits: list[str] = field(default_factory=list)
-    paper: bool | None = None
-
-
 class Report:
     """Tables and figures of the runs in a folder.
 
@@ -92,18 +78,27 @@ class Report:
         outputs: Where train.py wrote its runs.
         configurations: What the names of runs stand for.
         supplement: Results of human participants.
-        view: Which runs and tables are shown.
+        models, splits: See `filter_runs`.
+        paper: Whether it shows the paper's tables; None for those that runs fill, as far as they do.
 
     Raises:
         CophyError: There is nothing to report.
     """
 
-    def __init__(self, outputs: Path, configurations: Configurations, supplement: Supplement, view: View) -> None:
+    def __init__(
+        self,
+        outputs: Path,
+        configurations: Configurations,
+        supplement: Supplement,
+        models: Sequence[str],
+        splits: Sequence[str],
+        paper: bool | None,
+    ) -> None:
         runs = read_runs(outputs)
-        self.configurations, self.supplement, self.view = configurations, supplement, view
+        self.configurations, self.supplement, self.models, self.paper = configurations, supplement, models, paper
         self.unused, self.stored = int(runs.attrs["unused"]), dict[Path, StoredPredictions]()
         if len(runs):
-            runs = filter_runs(runs, view.models, view.splits)
+            runs = filter_runs(runs, models, splits)
             predictors = runs[runs["error"].isna() & ~runs["model"].str.startswith("derenderer")]
             self.stored = read_stored_predictions(predictors)
             self.unused += len(predictors) - len(self.stored)
@@ -123,9 +118,9 @@ class Report:
         self.scenarios = {str(name): configurations.scenario(str(name)) for name in names}
         scores = {directory: predictions.scores for directory, predictions in self.stored.items()}
         self.difficulty = self._mse_by_difficulty(scores)
-        tables = paper_tables() if view.paper is not False else ()
+        tables = paper_tables() if paper is not False else ()
         filled = [fill(table, standard, scores, supplement.participants) for table in tables]
-        self.filled = [table for table in filled if table.has_runs or view.paper]
+        self.filled = [table for table in filled if table.has_runs or paper]
 
     def show(self) -> None:
         """Print the tables of all runs, their sweeps, and the paper's tables."""
@@ -137,7 +132,7 @@ class Report:
         for table in map(sweep_table, self.sweeps):
             render.show(table.title, table.cells, table.note)
         for filled in self.filled:
-            table, *shares = render.paper_text_tables(filled, whole=bool(self.view.paper))
+            table, *shares = render.paper_text_tables(filled, whole=bool(self.paper))
             better = "Lower" if filled.table.lower_is_better else "Higher"
             render.show(
                 table.title, table.cells, f"Ours, the paper's below it. {better} is better. {filled.left_out}".strip()
@@ -166,7 +161,7 @@ class Report:
 
     def _texts(self) -> dict[str, str]:
         """Return the content of the files of tables by name."""
-        papers = [render.paper_text_tables(filled, whole=bool(self.view.paper)) for filled in self.filled]
+        papers = [render.paper_text_tables(filled, whole=bool(self.paper)) for filled in self.filled]
         tables = [*self.tables, *map(sweep_table, self.sweeps), *chain.from_iterable(papers)]
         # without failed settings, and so without keys that only these change
         sweeps = find_sweeps(self.cells[self.cells["seeds"] > 0]) if len(self.cells) else ()
@@ -178,7 +173,7 @@ class Report:
             "runs.csv": self._as_csv(self.runs),
             "methods.csv": self._as_csv(self.cells),
             **{
-                f"{filled.table.id}.csv": filled.lines(whole=bool(self.view.paper)).to_csv(index=False)
+                f"{filled.table.id}.csv": filled.lines(whole=bool(self.paper)).to_csv(index=False)
                 for filled in self.filled
             },
         }
@@ -198,7 +193,7 @@ class Report:
                 yield f"table-{filled.table.id}", figures.draw_bars(filled)
         if self.stored and len(self.finished):
             runs = self.finished[self.finished["directory"].isin(list(self.stored))]
-            everything = bool(self.view.models)
+            everything = bool(self.models)
             yield from figures.draw_predictions(runs, self.stored, self.scenarios, all_trajectories=everything)
         for sweep in self.sweeps:
             if (figure := draw_sweep(sweep)) is not None:
@@ -264,12 +259,15 @@ def write_report(
     directory: Path,
     configurations: Configurations,
     supplement: Supplement | None = None,
-    view: View | None = None,
+    *,
+    models: Sequence[str] = (),
+    splits: Sequence[str] = (),
+    paper: bool | None = None,
 ) -> None:
     """Print the report of a folder of runs, see `Report`, and write its files to a directory."""
     if not outputs.is_dir():
         raise CophyError(f"outputs={outputs}: there is no such folder; train.py writes runs there, study.py answers")
-    report = Report(outputs, configurations, supplement or Supplement(), view or View())
+    report = Report(outputs, configurations, supplement or Supplement(), models, splits, paper)
     (directory / "figures").mkdir(parents=True, exist_ok=True)
     drawn = dict(report.figures())
     paths = [directory / "figures" / name for name in drawn]
