@@ -126,12 +126,3 @@ def test_a_file_that_another_process_writes_is_not_touched(
     assert f"{name} is being written by another process" in printed
     assert path.read_bytes() == b"answers of many hours"
     assert {file.name for file in tmp_path.iterdir()} == {name, f"{name}.lock"}
-
-
-def test_a_damaged_answer_file_is_named_and_not_changed(tiny_data: Path, tmp_path: Path) -> None:
-    path = tmp_path / "answers.sqlite"
-    path.write_bytes(b"not a database" * 1000)
-    printed = study("action=export", data=tiny_data, directory=tmp_path, code=1)
-    (line,) = printed.strip().splitlines()
-    assert f"{path} is damaged or not an answer file (" in line
-    assert path.read_bytes() == b"not a database" * 1000
