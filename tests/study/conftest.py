@@ -1,14 +1,19 @@
 """A study on the tiny block towers with images of 64 × 64, and browsers that take part in it over HTTP."""
 
+import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pandas as pd
 import pytest
+from starlette.applications import Starlette
 from starlette.testclient import TestClient
+from uvicorn import Config, Server
 
 from cophy.config import settings
 from cophy.dataset.states import States
@@ -17,7 +22,7 @@ from cophy.study.answers import PERSON, AnswerStore
 from cophy.study.experiments import StudyExperiments
 from cophy.study.judging import read_judged
 from cophy.study.plan import Limits, StudySettings
-from cophy.study.server import make_app, welcome_text
+from cophy.study.server import listen, make_app, serve, welcome_text
 from cophy.study.sessions import Sessions
 from tests.conftest import tiny_spec
 
@@ -48,10 +53,12 @@ class Site:
     def __post_init__(self) -> None:
         self.sessions.now = self.clock
 
+    def app(self) -> Starlette:
+        return make_app(self.sessions, welcome_text(None, self.sessions.settings), self.limits, HOSTS)
+
     def browser(self, **options: Any) -> TestClient:
         """Return a browser without a session."""
-        welcome = welcome_text(None, self.sessions.settings)
-        return TestClient(make_app(self.sessions, welcome, self.limits, HOSTS), **options)
+        return TestClient(self.app(), **options)
 
     def participant(self) -> TestClient:
         """Return a browser whose participant has agreed."""
@@ -77,8 +84,7 @@ def experiments(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> St
     """The experiments of the small study, with images that are drawn once, without processes that import everything again."""
     states, split = States(tiny_spec("blocktower"), tiny_data), settings("study").split
     study = StudyExperiments(states, split, SMALL, tmp_path_factory.mktemp("study"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiments_module, "worker_pool", lambda workers: ThreadPoolExecutor(1))
+    with patch.object(experiments_module, "worker_pool", lambda workers: ThreadPoolExecutor(1)):
         study.draw_missing(workers=1)
     return study
 
@@ -89,6 +95,25 @@ def site(experiments: StudyExperiments, tmp_path: Path) -> Iterator[Site]:
     store = AnswerStore(path)
     yield Site(Sessions(store, experiments, PERSON), path)
     store.close()
+
+
+@contextmanager
+def serving(site: Site) -> Iterator[tuple[str, int]]:
+    """Serve a study in a thread, as study.py does; yield its host and port."""
+    servers: list[Server] = []
+
+    def make_server(config: Config) -> Server:
+        servers.append(Server(config))
+        return servers[-1]
+
+    with listen("127.0.0.1", 0) as listener, patch("uvicorn.Server", make_server):
+        thread = threading.Thread(target=serve, args=(site.app(), listener, ""))
+        thread.start()
+        try:
+            yield listener.getsockname()
+        finally:
+            servers[0].should_exit = True
+            thread.join()
 
 
 def judged_of(path: Path, experiments: StudyExperiments) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -1,14 +1,12 @@
 """Debian's Chromium (package chromium), driven by Playwright, takes the study."""
 
 import shutil
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import uvicorn
 
 pytest.importorskip("playwright", reason="not installed: just test-slow installs it")
 from playwright.sync_api import Page, Route, ViewportSize, sync_playwright
@@ -17,10 +15,9 @@ from cophy.config import settings
 from cophy.dataset.states import States
 from cophy.study.answers import PERSON, AnswerStore
 from cophy.study.experiments import StudyExperiments
-from cophy.study.server import make_app, welcome_text
 from cophy.study.sessions import Sessions
 from tests.conftest import tiny_spec
-from tests.study.conftest import GENEROUS, HOSTS, SMALL, Site
+from tests.study.conftest import SMALL, Site, serving
 
 CHROMIUM = shutil.which("chromium")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's package chromium")]
@@ -44,16 +41,8 @@ def served(large: StudyExperiments, tmp_path: Path) -> Iterator[tuple[Site, str]
     path = tmp_path / "answers.sqlite"
     store = AnswerStore(path)
     site = Site(Sessions(store, large, PERSON), path, clock=time.time)  # type: ignore[arg-type]
-    app = make_app(site.sessions, welcome_text(None, large.settings), GENEROUS, HOSTS)
-    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="warning"))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        time.sleep(0.05)
-    port = server.servers[0].sockets[0].getsockname()[1]
-    yield site, f"http://127.0.0.1:{port}"
-    server.should_exit = True
-    thread.join()
+    with serving(site) as (host, port):
+        yield site, f"http://{host}:{port}"
     store.close()
 
 

@@ -4,7 +4,6 @@ import json
 import logging
 import shutil
 import socket
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -13,15 +12,14 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-import uvicorn
 from httpx import Response
 from starlette.testclient import TestClient
 
 from cophy.errors import CophyError
 from cophy.study import server as server_module
 from cophy.study.plan import Limits
-from cophy.study.server import listen, make_app, serve, welcome_text
-from tests.study.conftest import GENEROUS, HOSTS, SMALL, Site, answer_to, take_task
+from cophy.study.server import listen, make_app, welcome_text
+from tests.study.conftest import GENEROUS, HOSTS, SMALL, Site, answer_to, serving, take_task
 
 JSON = {"content-type": "application/json"}
 CLICK = {"x": 3, "y": 4, "at_ms": 5}
@@ -322,24 +320,9 @@ HALF = b"POST /api/consent HTTP/1.1\r\nHost: localhost\r\nContent-Type: applicat
 @pytest.fixture
 def address(site: Site, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, int]]:
     """Where a real server serves the study to at most five connections."""
-    servers: list[uvicorn.Server] = []
-
-    class Server(uvicorn.Server):
-        def __init__(self, config: uvicorn.Config) -> None:
-            super().__init__(config)
-            servers.append(self)
-
-    monkeypatch.setattr(uvicorn, "Server", Server)
     monkeypatch.setattr(server_module, "MAX_CONNECTIONS", 5)
-    with listen("127.0.0.1", 0) as listener:
-        app = make_app(site.sessions, "", GENEROUS, ())
-        thread = threading.Thread(target=serve, args=(app, listener, ""))
-        thread.start()
-        try:
-            yield listener.getsockname()
-        finally:
-            servers[0].should_exit = True
-            thread.join()
+    with serving(site) as address:
+        yield address
 
 
 @pytest.mark.parametrize("sent", [b"", HALF[:40], HALF], ids=["nothing", "half a head", "half a body"])
