@@ -19,6 +19,7 @@ from cophy.dataset import generation
 from cophy.dataset.features import confounder_features, to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States, sort_by_twins
+from cophy.errors import CophyError
 from cophy.locks import locked
 from cophy.scenario import Scenario, Simulator
 from cophy.schemas import register
@@ -38,6 +39,15 @@ def quick_first(values: Iterable[Any], count: int = 1) -> list[Any]:
     return [
         pytest.param(value, marks=[] if number < count else [pytest.mark.slow]) for number, value in enumerate(values)
     ]
+
+
+@contextmanager
+def refused(message: str) -> Iterator[pytest.ExceptionInfo[CophyError]]:
+    """Expect an error whose message has one line and contains this text."""
+    with pytest.raises(CophyError) as error:
+        yield error
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 @functools.cache

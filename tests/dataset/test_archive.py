@@ -22,7 +22,7 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States, make_twins, to_arrays
 from cophy.errors import CophyError
 from cophy.scenario import Simulator
-from tests.conftest import SCENARIOS, cached_settings, tiny_spec
+from tests.conftest import SCENARIOS, cached_settings, refused, tiny_spec
 
 
 def sample(name: str, data_dir: Path) -> States:
@@ -220,7 +220,6 @@ def test_damaged_archives_are_named_and_leave_no_shard(case: str, said: str, arc
         with zipfile.ZipFile(bad, "w") as file:
             for number in range(20):
                 file.writestr(f"{number}" + "x" * 60_000, b"")
-    with pytest.raises(CophyError, match=said) as raised:
+    with refused(said):
         load(bad, tmp_path / "data")
-    assert "\n" not in str(raised.value)
     assert {path.name for path in (tmp_path / "data").rglob("*") if path.is_file()} <= {".lock"}
