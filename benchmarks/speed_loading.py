@@ -2,16 +2,16 @@
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from measure import REPEATS, Measured, cpu_seconds, paired
 from speed_training import EXPERIMENTS_PER_EPOCH, KINDS, Step, network, random_batch, training_step
 
-from cophy.config import composed, settings, to_plain
+from cophy.config import composed, generated_by, settings, to_plain
 from cophy.dataset.datamodules import CounterfactualDataset
 from cophy.dataset.frames import FrameBatch, FrameDataModule
-from cophy.dataset.source import generated_sets
 from cophy.models.derenderer import Derenderer
 from cophy.training.checkpoints import build_network
 from cophy.training.derenderer import DerenderingModule
@@ -74,7 +74,7 @@ def frame_data(data_dir: Path) -> FrameDataModule:
     """Render NUM_FRAMES frames of towers, for loading by two workers."""
     chosen = settings("train", "model=derenderer", "size=tiny")
     data = FrameDataModule(
-        generated_sets(chosen.scenario, chosen.split, None, size=chosen.size, data_seed=0, data_dir=data_dir),
+        generated_by(replace(chosen, data_dir=str(data_dir))),
         render=chosen.render,
         resolution=chosen.model.resolution,
         num_images=NUM_FRAMES,

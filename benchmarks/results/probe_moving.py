@@ -15,9 +15,8 @@ from rich.console import Console
 from rich.table import Table
 
 from cophy.bootstrap import interval, mean
-from cophy.config import folder, settings
+from cophy.config import folder, generated_by, settings
 from cophy.dataset.datamodules import CounterfactualDataModule
-from cophy.dataset.source import generated_sets
 from cophy.schemas import SCENARIOS, register
 from cophy.training.probe import Probed, collect_estimates, probe
 from cophy.training.trained import TrainedPredictor
@@ -30,10 +29,9 @@ def main(checkpoint: Path, data_dir: Path) -> None:
     """Print a line for each kind of object."""
     register()
     predictor = TrainedPredictor(checkpoint, SCENARIOS)
-    chosen = settings("train", "scenario=collision", "split=all", f"size={predictor.size}")
-    (collisions,) = generated_sets(
-        chosen.scenario, chosen.split, None, size=chosen.size, data_seed=predictor.data_seed, data_dir=data_dir
-    )
+    keys = ("scenario=collision", "split=all", f"size={predictor.size}", f"data_seed={predictor.data_seed}")
+    chosen = settings("train", *keys)
+    (collisions,) = generated_by(replace(chosen, data_dir=str(data_dir)))
     data = CounterfactualDataModule(
         chosen.split, train_set=collisions, test_set=collisions, batch_size=chosen.training.batch_size, workers=1
     )

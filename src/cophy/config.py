@@ -10,7 +10,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -24,9 +24,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 import cophy
 from cophy.dataset.experiment_set import ExperimentSet
-from cophy.dataset.source import generated_sets
+from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States
 from cophy.errors import CophyError
+from cophy.released.states import ReleasedSource
 from cophy.schemas import SCENARIOS, AuditConfig, DataConfig, DerenderConfig, TrainConfig, register
 from cophy.training.run import differences, plain_value, short_keys
 
@@ -126,30 +127,19 @@ DATA_GROUPS = ("confounders", "source_scenario")  # the only groups besides scen
 
 def generated_by(config: DataConfig) -> list[States]:
     """Return the generated datasets that the split, or num_objects, names."""
-    return generated_sets(
-        config.scenario,
-        config.split,
-        config.num_objects,
-        size=config.size,
-        data_seed=config.data_seed,
-        data_dir=Path(config.data_dir),
-        overrides=_data_overrides(config),
-    )
+    overrides, counts = _data_overrides(config), config.split.counts(config.num_objects)
+    specs = [DatasetSpec(config.scenario, count, config.size, config.data_seed, overrides) for count in counts]
+    return [States(spec, Path(config.data_dir)) for spec in specs]
 
 
 def experiments_of(
     config: AuditConfig | DerenderConfig | TrainConfig, num_objects: list[int] | None
 ) -> list[ExperimentSet]:
     """Return the datasets of the configured source, generated or released, that the split or `num_objects` names."""
-    return config.source.experiment_sets(
-        config.scenario,
-        config.split,
-        num_objects,
-        size=config.size,
-        data_seed=config.data_seed,
-        data_dir=Path(config.data_dir),
-        overrides=_data_overrides(config) if config.source.is_generated else (),
-    )
+    if isinstance(config.source, ReleasedSource):
+        data_dir = Path(config.data_dir)
+        return [*config.source.experiment_sets(config.scenario, config.split, num_objects, data_dir)]
+    return [*generated_by(replace(config, num_objects=num_objects))]
 
 
 def _data_overrides(config: DataConfig) -> tuple[str, ...]:

@@ -89,9 +89,7 @@ def opened(tree: CoPhyTree, data_dir: Path, *overrides: str) -> Any:
     """The index that a training with these overrides reads."""
     config = settings("train", "source=cophy", f"source.root={tree.root}", *overrides)
     count = config.split.test.num_objects
-    (experiments,) = config.source.experiment_sets(
-        config.scenario, config.split, [count], size=config.size, data_seed=0, data_dir=data_dir
-    )
+    (experiments,) = config.source.experiment_sets(config.scenario, config.split, [count], data_dir)
     return experiments
 
 

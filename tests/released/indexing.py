@@ -20,9 +20,7 @@ def states(source: str, scenario: str, root: Path, split: str | None = None, num
         config.scenario,
         config.split,
         [num_objects or config.split.train.num_objects],
-        size=config.size,
-        data_seed=0,
-        data_dir=root.with_name(f"{root.name}-data"),
+        root.with_name(f"{root.name}-data"),
     )
     return index
 

@@ -92,12 +92,7 @@ def imported(name: str, root: Path, split: str | None = None) -> dict[str, np.nd
     grid = [f"scenario.confounders.{key}={[float(v) for v in getattr(confounders, key)]}" for key in GRID]
     config = settings("train", "source=cophy", f"scenario={name}", *grid, *([f"split={split}"] if split else []))
     (experiments,) = ReleasedSource("cophy", "", str(root)).experiment_sets(
-        config.scenario,
-        config.split,
-        [SCENARIOS[name]],
-        size=config.size,
-        data_seed=0,
-        data_dir=root.with_name(f"{root.name}-index"),
+        config.scenario, config.split, [SCENARIOS[name]], root.with_name(f"{root.name}-index")
     )
     return make(experiments).load()
 

@@ -274,7 +274,11 @@ class ReleasedSource(Source):
     splits: str | None = None
 
     def experiment_sets(
-        self, scenario: Scenario, split: Split, num_objects: list[int] | None, *, data_dir: Path, **generated: Any
-    ) -> list[ExperimentSet]:
-        split.check_scenario(scenario)
+        self, scenario: Scenario, split: Split, num_objects: list[int] | None, data_dir: Path
+    ) -> list[ReleasedStates]:
+        """Return one dataset per number of objects: those of the split, or `num_objects`; indices are in `data_dir`.
+
+        Raises:
+            CophyError: The data are missing.
+        """
         return [ReleasedStates(self, scenario, split, count, data_dir) for count in split.counts(num_objects)]
