@@ -77,14 +77,17 @@ def agreement(blocktower: Blocktower, simulator: Simulator, *, towers: int, num_
     """(tower, 2): margin on paper, and whether simulation agrees; half of the towers stand on paper."""
     rng, rows = np.random.default_rng(seed), []
     while len(rows) < towers:
-        tower = blocktower.tower_search.sample_towers(num_levels, rng).select(np.array([0]))
+        tower = blocktower.sample_towers(num_levels, rng).select(np.array([0]))
         mass, friction = rng.choice([1.0, 10.0], num_levels), rng.choice([0.5, 1.0], num_levels)
         gravity = rng.choice([-1.0, 0.0, 1.0], 2)
         margins = blocktower.statics.margins(*tower, Combinations(mass[None], gravity[None] / 10.0))
         if (margins[0, 0] > 0) == len(rows) % 2:
             continue
         confounders = Confounders(tuple(mass), tuple(friction), (0.0,) * num_levels, tuple(gravity))
-        scene = with_confounders(blocktower.tower_search.scene(tower, 0, tuple(range(num_levels))), confounders)
+        scene = with_confounders(
+            tower.scene(0, tuple(range(num_levels)), block_size=blocktower.block_size, gravity_z=blocktower.gravity_z),
+            confounders,
+        )
         stands = blocktower.statics.stands(blocktower.simulate(simulator, scene))
         rows.append((margins[0, 0], stands == (margins[0, 0] > 0)))
     return np.array(rows)

@@ -55,7 +55,7 @@ def blocktower(scenario_of: Callable[..., Scenario]) -> Blocktower:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_outcomes_of_proposals_are_open_and_true(kind: str, blocktower: Blocktower) -> None:
-    found = blocktower.tower_search.propose(kind, 3, np.random.default_rng(0))
+    found = blocktower.propose(kind, 3, np.random.default_rng(0))
     smallest, largest = blocktower.stable_fraction
     assert len(found.level) > 100
     for stands, towers in zip((found.falls_from == 3, found.stands), found.towers, strict=True):
@@ -67,7 +67,7 @@ def test_outcomes_of_proposals_are_open_and_true(kind: str, blocktower: Blocktow
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_proposed_c_is_a_under_the_do_operation(kind: str, blocktower: Blocktower) -> None:
-    found = blocktower.tower_search.propose(kind, 3, np.random.default_rng(1))
+    found = blocktower.propose(kind, 3, np.random.default_rng(1))
     a, c = found.towers
     if kind == "remove_top":
         np.testing.assert_array_equal(a.xy[:, :2], c.xy)
@@ -84,9 +84,7 @@ def test_a_proposed_c_is_a_under_the_do_operation(kind: str, blocktower: Blockto
 def test_candidates_fill_the_cell_and_its_twin_on_paper(kind: str, cell: TowerCell, blocktower: Blocktower) -> None:
     grid, statics = blocktower.confounders, blocktower.statics
     twins = (grid.decode(0, 3), grid.decode(grid.num_configurations(3) - 1, 3))
-    scene, do_operation = next(
-        blocktower.tower_search.candidates(twins, cell, kind, (3, 0, 1), np.random.default_rng(0))
-    )
+    scene, do_operation = next(blocktower.candidates(twins, cell, kind, (3, 0, 1), np.random.default_rng(0)))
     towers = [read_tower(scene), read_tower(do_operation.apply(scene))]
     every = statics.combinations(3)
     margins = np.stack([statics.margins(*tower, every)[0] for tower in towers])
@@ -106,7 +104,7 @@ def test_candidates_fill_the_cell_and_its_twin_on_paper(kind: str, cell: TowerCe
 
 def test_twins_that_no_tower_tells_apart_have_no_candidates(blocktower: Blocktower) -> None:
     confounders = blocktower.confounders.decode(0, 3)
-    search = blocktower.tower_search.candidates(
+    search = blocktower.candidates(
         (confounders, confounders), TOWER_CELLS[0], "displace_x", (0, 1, 2), np.random.default_rng(0)
     )
     assert list(search) == []

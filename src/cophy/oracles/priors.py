@@ -73,12 +73,12 @@ class TowerPrior:
     """P(masses, gravity | A, C) for one kind of do-operation and number of blocks."""
 
     def __init__(self, scenario: Blocktower, kind: str, num_levels: int) -> None:
-        self._search = scenario.tower_search
-        self._combinations = self._search.statics.combinations(num_levels)
+        self._scenario = scenario
+        self._combinations = scenario.statics.combinations(num_levels)
         rng = np.random.default_rng((num_levels, scenario.do_operations.index(kind)))
         batches, count = [], 0
         while count < MIN_PROPOSALS:
-            proposals = self._search.propose(kind, num_levels, rng)
+            proposals = scenario.propose(kind, num_levels, rng)
             batches.append(self._fits(proposals.towers))
             count += len(proposals.level)
         first, second = (np.concatenate([batch[twin] for batch in batches]) for twin in (0, 1))
@@ -102,9 +102,9 @@ class TowerPrior:
         Returns:
             Two arrays, (geometry, cell, combination), 1 where it fits.
         """
-        statics = self._search.statics
+        statics = self._scenario.statics
         margins = np.stack([statics.margins(*tower, self._combinations) for tower in towers], axis=1)
-        stands, falls = margins >= self._search.min_margin, margins <= -self._search.min_margin
+        stands, falls = margins >= self._scenario.min_margin, margins <= -self._scenario.min_margin
         falls_from = statics.falls_from(*towers[0], self._combinations)
         identifiable = is_identifiable(falls_from, margins[:, 1] > 0, self._combinations)
 
