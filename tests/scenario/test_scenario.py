@@ -136,10 +136,5 @@ def test_a_scenario_says_what_only_some_have(scenario_of) -> None:
     towers, balls, collision = (scenario_of(name) for name in SCENARIOS)
     assert towers.statics.block_size == towers.object_size_m
     assert balls.statics is None
-    assert [towers.sight_extent_m, balls.sight_extent_m, collision.sight_extent_m] == [
-        None,
-        balls.extent,
-        collision.extent,
-    ]
     assert [s.shape_from_positions.name for s in (towers, balls, collision)] == ["BOX", "SPHERE", "SPHERE"]
     assert [s.shapes_of_cell(0) is None for s in (towers, balls, collision)] == [True, True, False]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cophy.scenario.experiment import Displace, DoOperation, Remove
-from cophy.scenario.physics import Body, Scene, Shape, Trajectory, largest_energy_gain, make_floor, make_walls
+from cophy.scenario.physics import Body, Scene, Shape, make_floor, make_walls
 from cophy.scenario.scenario import square_symmetries
 from cophy.scenario.search import MAX_PLACEMENTS, SimulatedSearch, placement_error
 
@@ -86,12 +86,6 @@ class Balls(SimulatedSearch):
             if self._have_gaps(displaced) and np.abs(displaced).max() <= reach:
                 return Displace(kind, _slot(balls[index]), (float(x), float(y), 0.0))
         raise placement_error("balls", "with scenario.displacement, no ball keeps scenario.min_gap to the others")
-
-    def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
-        """Return whether all balls stay within `extent` and no impact that the solver resolves wrongly adds energy."""
-        return (
-            super().is_admissible(scene, trajectory) and largest_energy_gain(scene, trajectory) <= self.max_energy_gain
-        )
 
     def _have_gaps(self, centres: np.ndarray) -> bool:
         distance = np.linalg.norm(centres[:, None] - centres, axis=-1)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cophy.scenario.experiment import Displace, DoOperation
-from cophy.scenario.physics import Body, Scene, Shape, Trajectory, largest_energy_gain, make_floor
+from cophy.scenario.physics import Body, Scene, Shape, make_floor
 from cophy.scenario.scenario import square_symmetries
 from cophy.scenario.search import MAX_PLACEMENTS, SimulatedSearch, placement_error
 
@@ -100,12 +100,6 @@ class Collision(SimulatedSearch):
             if np.linalg.norm(between) >= (1 + np.sqrt(2)) / 2 * self.object_size + self.min_gap:
                 return Displace(kind, body.slot, (float(offset[0]), float(offset[1]), 0.0))
         raise placement_error("collision", "with scenario.displacement, the objects do not keep scenario.min_gap")
-
-    def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
-        """Return whether both objects stay within `extent` and no impact that the solver resolves wrongly adds energy."""
-        return (
-            super().is_admissible(scene, trajectory) and largest_energy_gain(scene, trajectory) <= self.max_energy_gain
-        )
 
     def distance_from_origin(self, position: np.ndarray) -> np.ndarray:
         """Return the distances in the plane: headings have any direction, so the visible area is round."""

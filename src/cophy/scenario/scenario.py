@@ -61,11 +61,13 @@ class Scenario(ABC):
     def __post_init__(self) -> None:
         check_name("scenario.name", self.name)
         _check_finite("scenario", asdict(self))
-        if self.farthest_m is not None and self.min_difference > self.farthest_m:
-            raise ValueError(
-                f"scenario.min_difference={self.min_difference:g} m must be at most {self.farthest_m:.3g} m: "
-                "nothing moves farther in this scenario"
-            )
+        for key in ("min_difference", "min_effect"):  # of towers there is no min_effect
+            value = getattr(self, key, 0.0)
+            if self.farthest_m is not None and value > self.farthest_m:
+                raise ValueError(
+                    f"scenario.{key}={value:g} m must be at most {self.farthest_m:.3g} m: "
+                    "nothing moves farther in this scenario"
+                )
         if not -MAX_GRAVITY <= self.gravity_z < 0:
             raise ValueError(f"scenario.gravity_z={self.gravity_z:g} must be negative, at least {-MAX_GRAVITY:g} m/s²")
         if self.solver.step_rate_hz % self.clock.state_rate_hz:
@@ -166,11 +168,6 @@ class Scenario(ABC):
     @property
     def farthest_m(self) -> float | None:
         """Upper bound of the distance between two outcomes of an object, metres; None if there is none."""
-        return None if self.sight_extent_m is None else 2 * math.sqrt(2) * self.sight_extent_m
-
-    @property
-    def sight_extent_m(self) -> float | None:
-        """Upper bound of the distance of objects from the origin in x and y, metres; None if there is none."""
         return None
 
     @property
@@ -269,7 +266,6 @@ class Scenario(ABC):
 
 
 MIRROR_Y = np.diag([1, -1])
-QUARTER_TURN = np.array([[0, -1], [1, 0]])
 
 
 def disc_symmetries(num_rotations: int) -> np.ndarray:
@@ -282,8 +278,7 @@ def disc_symmetries(num_rotations: int) -> np.ndarray:
 
 def square_symmetries() -> np.ndarray:
     """Return the (8, 2, 2) rotations and reflections of a square."""
-    rotations = [np.linalg.matrix_power(QUARTER_TURN, n) for n in range(4)]
-    return np.stack([*rotations, *(rotation @ MIRROR_Y for rotation in rotations)])
+    return np.rint(disc_symmetries(4)).astype(int)
 
 
 def _check_finite(key: str, value: Any) -> None:

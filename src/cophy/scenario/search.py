@@ -4,6 +4,7 @@ The cheapest test comes first: two simulations show whether the observed outcome
 do-operations are tried on the scene until one changes both outcomes and the twins differ again.
 """
 
+import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from itertools import chain, repeat
@@ -13,7 +14,7 @@ import numpy as np
 from cophy.errors import CophyError
 from cophy.scenario.assignment import PairAssignment
 from cophy.scenario.experiment import DoOperation, TwinPair
-from cophy.scenario.physics import Scene, Trajectory, trajectory_distance
+from cophy.scenario.physics import Scene, Trajectory, largest_energy_gain, trajectory_distance
 from cophy.scenario.scenario import Scenario
 from cophy.scenario.simulator import Simulator
 
@@ -61,17 +62,9 @@ class SimulatedSearch(Scenario):
             rng: The only source of randomness.
         """
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.farthest_m is not None and self.min_effect > self.farthest_m:
-            raise ValueError(
-                f"scenario.min_effect={self.min_effect:g} m must be at most {self.farthest_m:.3g} m: "
-                "nothing moves farther in this scenario"
-            )
-
     @property
-    def sight_extent_m(self) -> float:
-        return self.extent
+    def farthest_m(self) -> float:
+        return 2 * math.sqrt(2) * self.extent
 
     @property
     def significant_effect_m(self) -> float:
@@ -127,8 +120,12 @@ class SimulatedSearch(Scenario):
         return trajectory_distance(observed, counterfactual) >= self.min_effect
 
     def is_admissible(self, scene: Scene, trajectory: Trajectory) -> bool:
-        """Return whether a simulated sequence is valid: every object stays within `extent`."""
-        return bool(self.distance_from_origin(trajectory.positions).max() <= self.extent)
+        """Return whether all objects stay within `extent` and no impact that the solver resolves wrongly adds energy.
+
+        The limit is the field `max_energy_gain` of the scenario, if it has one.
+        """
+        within = bool(self.distance_from_origin(trajectory.positions).max() <= self.extent)
+        return within and largest_energy_gain(scene, trajectory) <= getattr(self, "max_energy_gain", math.inf)
 
     def distance_from_origin(self, position: np.ndarray) -> np.ndarray:
         """Return the (...) distances of (..., 3) positions from the origin for `extent`, metres: the larger absolute value of x and y."""
