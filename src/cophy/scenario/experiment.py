@@ -56,8 +56,7 @@ class Experiment:
         do_operation: The change from A to C.
         observed: Simulated sequence AB.
         counterfactual: Simulated sequence CD.
-        confounders: Values of the confounders, in the same order of objects.
-        configuration: Their index in the scenario's grid.
+        configuration: Index of the confounders in the scenario's grid, in the same order of objects.
         cell: Index into the scenario's `cells`.
         background_seed: Seed of the textures of floor and backdrop, shared by A, B, C, D and the twin.
     """
@@ -66,7 +65,6 @@ class Experiment:
     do_operation: DoOperation
     observed: Trajectory
     counterfactual: Trajectory
-    confounders: Confounders
     configuration: int
     cell: int
     background_seed: int

@@ -220,7 +220,6 @@ class Scenario(ABC):
                 do_operation=twins.do_operation,
                 observed=observed,
                 counterfactual=counterfactual,
-                confounders=self.confounders.decode(configuration, num_objects),
                 configuration=configuration,
                 cell=cell,
                 background_seed=background_seed,
