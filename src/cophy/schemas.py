@@ -31,30 +31,16 @@ from cophy.training.settings import Training
 
 
 @dataclass
-class OracleConfig:
+class OracleConfig(OracleSettings):
     """Arguments of `cophy.oracles.run.Oracle`; conf/model/ explains the numbers."""
 
     _target_: str = "cophy.oracles.run.Oracle"
     oracle: str = MISSING
-    draws: int = MISSING
-    max_configurations: int = MISSING
-    noise: float = MISSING
-    max_experiments: int = MISSING
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.oracle not in ORACLES:
             raise ValueError(f"model.oracle={self.oracle} is not among {', '.join(ORACLES)}")
-        if self.draws < 4:
-            raise ValueError("model.draws must be at least 4: the variance of a mean needs two twin pairs")
-        if self.max_configurations < 1 or self.noise <= 0:
-            raise ValueError("model: max_configurations must be at least 1 and noise positive")
-        if self.max_experiments < 2 or self.max_experiments % 2:
-            raise ValueError("model.max_experiments must be even and at least 2, so that both twins are included")
-
-    @property
-    def settings(self) -> OracleSettings:
-        """The settings that all oracles share."""
-        return OracleSettings(self.draws, self.max_configurations, self.noise, self.max_experiments)
 
 
 @dataclass

@@ -9,7 +9,7 @@ from cophy.commands.generate import asked_for
 from cophy.config import generated_by, settings
 from cophy.dataset.images import Images
 from cophy.dataset.states import States
-from cophy.oracles.forecasts import OracleSettings, oracle_forecasts
+from cophy.oracles.forecasts import OracleForecasts, OracleSettings
 from cophy.scenario.rendering import Backend, RenderSettings
 
 OVERRIDES = {
@@ -42,7 +42,7 @@ def test_the_command_of_oracles_asks_them_the_same(tmp_path: Path) -> None:
     (states,) = sets_of(
         "scenario=blocktower", "size=tiny", "split=4to4", f"data_dir={tmp_path}", "scenario.task.stable_speed=0.2"
     )
-    forecasts = oracle_forecasts(states, OracleSettings(draws=7, max_configurations=5, noise=0.1, max_experiments=6))
+    forecasts = OracleForecasts(states, OracleSettings(draws=7, max_configurations=5, noise=0.1, max_experiments=6))
     said = settings("generate", *words_of(forecasts.command))
     (made,) = generated_by(said)
     assert [each.directory for each in asked_for(made, said)] == [states.directory, forecasts.directory]

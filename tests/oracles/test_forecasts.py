@@ -11,7 +11,7 @@ from cophy.dataset import generation
 from cophy.dataset.features import to_batch
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.oracles.forecasts import ORACLES, OracleForecasts, OracleSettings, oracle_forecasts
+from cophy.oracles.forecasts import ORACLES, OracleForecasts, OracleSettings
 from tests.conftest import SCENARIOS, tiny_spec
 
 SETTINGS = OracleSettings(draws=4, max_configurations=8, noise=0.05, max_experiments=4)
@@ -24,7 +24,7 @@ def forecasts(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
     shutil.copytree(tiny_data, directory, dirs_exist_ok=True)
     for name in SCENARIOS:
         settings = SETTINGS if name == "collision" else replace(SETTINGS, max_experiments=2)
-        result[name] = oracle_forecasts(States(tiny_spec(name), directory), settings)
+        result[name] = OracleForecasts(States(tiny_spec(name), directory), settings)
         generation.ensure(result[name], workers=1)
     return result
 
@@ -93,7 +93,7 @@ def test_another_stability_threshold_has_its_own_directory(forecasts) -> None:
     spec = replace(
         every.spec, scenario=replace(every.spec.scenario, task=replace(every.spec.scenario.task, stable_speed=0.5))
     )
-    other = oracle_forecasts(States(spec, every.states.directory.parents[1]), SETTINGS)
+    other = OracleForecasts(States(spec, every.states.directory.parents[1]), SETTINGS)
     assert other.states.directory == every.states.directory
     assert other.directory != every.directory
 
@@ -101,7 +101,7 @@ def test_another_stability_threshold_has_its_own_directory(forecasts) -> None:
 def test_a_limit_on_test_experiments_has_its_own_directory(forecasts, tmp_path: Path) -> None:
     every = forecasts["collision"]
     shutil.copytree(every.states.directory, tmp_path / "collision" / every.states.directory.name)
-    few = oracle_forecasts(States(tiny_spec("collision"), tmp_path), replace(SETTINGS, max_experiments=2))
+    few = OracleForecasts(States(tiny_spec("collision"), tmp_path), replace(SETTINGS, max_experiments=2))
     assert few.directory.name != every.directory.name
     generation.ensure(few, workers=1)
     for name, array in few.load().items():
@@ -109,5 +109,5 @@ def test_a_limit_on_test_experiments_has_its_own_directory(forecasts, tmp_path: 
     assert (
         sum(len(few.experiments(shard)) for shard in range(few.spec.num_shards)) == 2
     )  # the total of the progress bar
-    enough = oracle_forecasts(States(tiny_spec("collision"), tmp_path), replace(SETTINGS, max_experiments=4000))
+    enough = OracleForecasts(States(tiny_spec("collision"), tmp_path), replace(SETTINGS, max_experiments=4000))
     assert enough.directory.name == every.directory.name

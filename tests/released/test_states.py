@@ -8,7 +8,7 @@ import pytest
 from cophy.dataset.estimates import Estimates
 from cophy.dataset.frames import FrameDataset
 from cophy.errors import CophyError
-from cophy.oracles.forecasts import OracleSettings, oracle_forecasts
+from cophy.oracles.forecasts import OracleForecasts, OracleSettings
 from cophy.scenario.rendering import Backend, RenderSettings
 from tests.released.indexing import LISTS, load, make, states
 from tests.released.trees import BALL_COLORS, CoPhyTree, clip, filtered_tree
@@ -36,7 +36,7 @@ def test_only_the_same_lists_leave_test_experiments_unseen(towers: CoPhyTree) ->
 
 def test_oracles_refuse_released_data(towers: CoPhyTree) -> None:
     with pytest.raises(CophyError, match="released data lack what a simulation starts from"):
-        oracle_forecasts(
+        OracleForecasts(
             states("cophy", "blocktower", towers.root),
             OracleSettings(draws=4, max_configurations=1, noise=0.1, max_experiments=2),
         )

@@ -11,7 +11,7 @@ from cophy.dataset.experiment_set import FRAMES
 from cophy.dataset.shards import ShardSet
 from cophy.dataset.states import States
 from cophy.errors import CophyError
-from cophy.oracles.forecasts import oracle_forecasts
+from cophy.oracles.forecasts import OracleForecasts
 from cophy.schemas import GenerateConfig
 
 
@@ -33,4 +33,4 @@ def asked_for(states: States, settings: GenerateConfig) -> Iterator[ShardSet]:
     if settings.render.modalities:
         yield states.frames(settings.render, FRAMES[settings.frames])
     if settings.model is not None:
-        yield oracle_forecasts(states, settings.model.settings)
+        yield OracleForecasts(states, settings.model)

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ SECONDS_PER_EXPERIMENT = 9.0  # of CPU time, estimated
 JITTER_M = 1e-4  # ours: largest error of each horizontal coordinate of C; positions are stored to a micrometre
 
 
-@dataclass(frozen=True)
+@dataclass
 class OracleSettings:
     """Settings of the oracles, explained in conf/model/.
 
@@ -44,16 +44,13 @@ class OracleSettings:
     noise: float
     max_experiments: int
 
-
-def oracle_forecasts(experiments: ExperimentSet, settings: OracleSettings) -> "OracleForecasts":
-    """Return the forecasts for a generated dataset.
-
-    Raises:
-        CophyError: The data were released by others: they lack what a simulation starts from.
-    """
-    if not isinstance(experiments, States):
-        raise CophyError("oracles simulate generated data: released data lack what a simulation starts from")
-    return OracleForecasts(experiments, settings)
+    def __post_init__(self) -> None:
+        if self.draws < 4:
+            raise ValueError("model.draws must be at least 4: the variance of a mean needs two twin pairs")
+        if self.max_configurations < 1 or self.noise <= 0:
+            raise ValueError("model: max_configurations must be at least 1 and noise positive")
+        if self.max_experiments < 2 or self.max_experiments % 2:
+            raise ValueError("model.max_experiments must be even and at least 2, so that both twins are included")
 
 
 class OracleForecasts(ShardSet):
@@ -66,10 +63,13 @@ class OracleForecasts(ShardSet):
 
     spec: DatasetSpec
 
-    def __init__(self, states: States, settings: OracleSettings) -> None:
+    def __init__(self, states: ExperimentSet, settings: OracleSettings) -> None:
+        """Raise CophyError if the data were released by others."""
+        if not isinstance(states, States):
+            raise CophyError("oracles simulate generated data: released data lack what a simulation starts from")
         self.spec = spec = states.spec
         self.states, self.settings = states, settings
-        values = asdict(settings)
+        values = {field.name: getattr(settings, field.name) for field in fields(OracleSettings)}
         self.content = {name: values[name] for name in ("draws", "max_configurations", "noise")}
         if (stable_speed := spec.scenario.task.stable_speed) != USUAL_STABLE_SPEED:
             self.content["stable_speed"] = stable_speed

@@ -10,7 +10,7 @@ from cophy.dataset import generation
 from cophy.dataset.datamodules import CounterfactualDataModule
 from cophy.drawing.tensorboard import NUM_DRAWN, DrawnPredictions
 from cophy.errors import CophyError
-from cophy.oracles.forecasts import ORACLES, OracleSettings, oracle_forecasts
+from cophy.oracles.forecasts import OracleForecasts, OracleSettings
 from cophy.training.predictor import PredictionModule
 from cophy.types import Batch, Inputs, Prediction, take
 
@@ -61,8 +61,6 @@ class Oracle(nn.Module):
 
     def __init__(self, *, oracle: str, draws: int, max_configurations: int, noise: float, max_experiments: int) -> None:
         super().__init__()
-        if oracle not in ORACLES:
-            raise CophyError(f"model.oracle={oracle} is not among {', '.join(ORACLES)}")
         self.oracle = oracle
         self.settings = OracleSettings(draws, max_configurations, noise, max_experiments)
 
@@ -74,7 +72,7 @@ class Oracle(nn.Module):
         Raises:
             CophyError: The split tests on none of the experiments that have forecasts.
         """
-        forecasts = oracle_forecasts(data.test_set, self.settings)
+        forecasts = OracleForecasts(data.test_set, self.settings)
         generation.ensure(forecasts, workers=data.workers)
         arrays = forecasts.load()
         _, rows, tested = np.intersect1d(arrays["experiment"], data.test_experiments, return_indices=True)
