@@ -5,6 +5,7 @@ The schemas of models are derived from their constructors; `register` makes all 
 
 import math
 import os
+from collections.abc import Collection
 from dataclasses import dataclass, field, make_dataclass
 from enum import Enum
 from functools import cache
@@ -39,8 +40,7 @@ class OracleConfig(OracleSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.oracle not in ORACLES:
-            raise ValueError(f"model.oracle={self.oracle} is not among {', '.join(ORACLES)}")
+        _check_choice("model.oracle", self.oracle, ORACLES)
 
 
 @dataclass
@@ -139,23 +139,33 @@ class RenderDataConfig(MakeDataConfig):
 
 
 @dataclass
-class GenerateConfig(RenderDataConfig):
-    """Keys of generate.py.
+class PartConfig(MakeDataConfig):
+    """Keys of every command that makes a part of the data.
 
-    seed: short for data_seed. frames: those to render. model: an oracle whose forecasts are stored, or None.
-    part, parts: only every `parts`-th shard is generated, from `part` on.
+    frames: those to render, or to de-render. part, parts: only every `parts`-th shard is made, from `part` on.
     """
 
-    seed: int = MISSING
     frames: str = MISSING
     part: int = MISSING
     parts: int = MISSING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_range("parts", self.parts, 1)
+        _check_range("part", self.part, 0, self.parts - 1)
+        _check_choice("frames", self.frames, FRAMES)
+
+
+@dataclass
+class GenerateConfig(PartConfig):
+    """Keys of generate.py. seed: short for data_seed. model: an oracle whose forecasts are stored, or None."""
+
+    seed: int = MISSING
+    render: RenderSettings = MISSING
     model: Any = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_part(self.part, self.parts)
-        _check_frames(self.frames)
         if not (self.model is None or isinstance(self.model, OracleConfig)):
             raise ValueError("model: only forecasts of oracles are stored with data (model=oracle_feedforward)")
 
@@ -201,29 +211,16 @@ class ExportConfig(DataConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.format not in EXPORT_FORMATS:
-            raise ValueError(f"format={self.format} is not among {', '.join(EXPORT_FORMATS)}")
+        _check_choice("format", self.format, EXPORT_FORMATS)
 
 
 @dataclass
-class DerenderConfig(MakeDataConfig):
-    """Keys of derender.py.
-
-    derenderer: a checkpoint; None for the one in `outputs` that fits. frames: those to de-render. part, parts: as in
-    `GenerateConfig`.
-    """
+class DerenderConfig(PartConfig):
+    """Keys of derender.py. derenderer: a checkpoint; None for the one in `outputs` that fits."""
 
     source: Source = MISSING
     derenderer: str | None = None
     outputs: str = MISSING
-    frames: str = MISSING
-    part: int = MISSING
-    parts: int = MISSING
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_part(self.part, self.parts)
-        _check_frames(self.frames)
 
 
 @dataclass
@@ -273,8 +270,7 @@ class TrainConfig(RenderDataConfig):
             raise ValueError(
                 f"optimized_metric={self.optimized_metric} must be a metric of the validation split: val/mse, …"
             )
-        if self.positions not in ESTIMATED:
-            raise ValueError(f"positions={self.positions} is not among {', '.join(ESTIMATED)}")
+        _check_choice("positions", self.positions, ESTIMATED)
 
 
 @dataclass
@@ -291,8 +287,7 @@ class ScoreConfig(DataConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_range("seed", self.seed, 0, MAX_SEED)
-        if self.positions not in ESTIMATED:
-            raise ValueError(f"positions={self.positions} is not among {', '.join(ESTIMATED)}")
+        _check_choice("positions", self.positions, ESTIMATED)
         if (self.predictions is None) == (self.template is None):
             raise ValueError("give predictions=, a file to score, or template=, a file to write with all ids")
         if self.name is not None:
@@ -344,14 +339,9 @@ def _check_folders(config: Any) -> None:
             setattr(config, key, os.path.expanduser(path))
 
 
-def _check_frames(name: str) -> None:
-    if name not in FRAMES:
-        raise ValueError(f"frames={name} is not among {', '.join(FRAMES)}")
-
-
-def _check_part(part: int, parts: int) -> None:
-    _check_range("parts", parts, 1)
-    _check_range("part", part, 0, parts - 1)
+def _check_choice(key: str, value: str, choices: Collection[str]) -> None:
+    if value not in choices:
+        raise ValueError(f"{key}={value} is not among {', '.join(choices)}")
 
 
 def _check_range(key: str, value: int, smallest: int, largest: float = math.inf) -> None:
@@ -380,8 +370,7 @@ class StudyConfig(MakeDataConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.action not in ACTIONS:
-            raise ValueError(f"action={self.action} is not among {', '.join(ACTIONS)}")
+        _check_choice("action", self.action, ACTIONS)
         _check_range("participants", self.participants, 2)
         _check_range("port", self.port, 0, 65535)
         for address in self.trusted_proxies.replace("*", "").split(","):
