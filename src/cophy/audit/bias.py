@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from sklearn.base import BaseEstimator
 from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingRegressor
-from sklearn.model_selection import GroupKFold
+from sklearn.model_selection import GroupKFold, cross_val_predict
 from threadpoolctl import threadpool_limits
 
 from cophy.audit.checks import Check, geometry_of, slots_in_order, three_sigma
@@ -59,13 +60,8 @@ def check_stored_order(arrays: Arrays, spec: DatasetSpec) -> Iterator[Check]:
     features = np.stack([index, twin, arrays["background_seed"], arrays["split"], *remainders], axis=1)
     targets = _hidden_values(arrays, spec)
     labels = np.stack([np.unique(values, return_inverse=True)[1] for values in targets.values()], axis=1)
-    predicted = np.zeros_like(labels)
-    with threadpool_limits(1):
-        for train, test in GroupKFold(NUM_FOLDS).split(features, groups=twin):
-            trees = ExtraTreesClassifier(NUM_TREES, max_features=None, random_state=0).fit(
-                features[train], labels[train]
-            )
-            predicted[test] = trees.predict(features[test])
+    trees = ExtraTreesClassifier(NUM_TREES, max_features=None, random_state=0)
+    predicted = _cross_validated(trees, features, labels, twin)
     accuracy = (predicted == labels).mean(axis=0)
     chance = np.array([np.bincount(column).max() / len(column) for column in labels.T])
     margin = np.maximum(MAX_BIAS, [three_sigma(share, len(np.unique(twin))) for share in chance])
@@ -146,7 +142,7 @@ def check_classifier(
     accuracy, (low, high) = float(correct.mean()), interval(correct, twin)
     margin = MAX_BIAS
     if len(correct) < MIN_EXPERIMENTS:
-        margin = max(MAX_BIAS, 3 * 0.5 / float(np.sqrt(len(np.unique(twin)))))
+        margin = max(MAX_BIAS, three_sigma(0.5, len(np.unique(twin))))
     limit = f"no limit: {expected}" if expected else f"at most {chance + margin:.1%}"
     result = f"{accuracy:.1%} [{low:.1%}, {high:.1%}] of {len(correct)}, by chance {chance:.1%}, {limit}"
     return ClassifierCheck(name, result, bool(expected) or accuracy <= chance + margin, accuracy, low, high, chance)
@@ -158,14 +154,13 @@ def cross_validated_predictions(features: np.ndarray, outcome: np.ndarray, twin:
     The trees regress on 0 and 1, so that a fold may lack one of the two outcomes. They use one thread: on trees this small
     several threads wait for each other, and next to other processes they take many times as long.
     """
-    predicted = np.zeros(len(outcome), dtype=bool)
+    trees = HistGradientBoostingRegressor(learning_rate=0.05, max_leaf_nodes=8, early_stopping=False, random_state=0)
+    return _cross_validated(trees, features, outcome, twin) > 0.5
+
+
+def _cross_validated(trees: BaseEstimator, features: np.ndarray, labels: np.ndarray, twin: np.ndarray) -> np.ndarray:
     with threadpool_limits(1):
-        for train, test in GroupKFold(NUM_FOLDS).split(features, groups=twin):
-            trees = HistGradientBoostingRegressor(
-                learning_rate=0.05, max_leaf_nodes=8, early_stopping=False, random_state=0
-            )
-            predicted[test] = trees.fit(features[train], outcome[train]).predict(features[test]) > 0.5
-    return predicted
+        return np.asarray(cross_val_predict(trees, features, labels, groups=twin, cv=GroupKFold(NUM_FOLDS)))
 
 
 def initial_scene(arrays: Arrays, num_objects: int) -> np.ndarray:
