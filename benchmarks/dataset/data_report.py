@@ -10,14 +10,14 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from cophy.audit.checks import share_with_effect, slots_in_order
+from cophy.audit.checks import share_with_effect
 from cophy.audit.resimulation import effect_of_double_rate
 from cophy.bootstrap import interval, mean
 from cophy.config import generated_by, settings
 from cophy.dataset.difficulty import stands, twin_differences
 from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import clusters_of, sort_by_twins
+from cophy.dataset.states import clusters_of, slots_in_order, sort_by_twins
 from cophy.models.baselines import CopyB, CopyC
 from cophy.scenario import Simulator
 from cophy.schemas import register

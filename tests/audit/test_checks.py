@@ -16,10 +16,9 @@ from cophy.audit.checks import (
     check_towers,
     check_twins,
     share_with_effect,
-    slots_in_order,
 )
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import States, sort_by_twins
+from cophy.dataset.states import States, slots_in_order, sort_by_twins
 from tests.audit.failing import failing
 from tests.conftest import tiny_spec
 

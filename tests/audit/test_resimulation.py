@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cophy.audit.checks import check_states, check_towers, check_twins, slots_in_order
+from cophy.audit.checks import check_states, check_towers, check_twins
 from cophy.audit.resimulation import (
     MIN_IDENTIFIED,
     _check_share,
@@ -15,7 +15,7 @@ from cophy.audit.resimulation import (
     check_resimulation,
 )
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import States, build_scene, do_operation_of, to_arrays
+from cophy.dataset.states import States, build_scene, do_operation_of, slots_in_order, to_arrays
 from cophy.scenario import Simulator
 from tests.audit.failing import failing
 from tests.conftest import tiny_spec

@@ -12,12 +12,12 @@ from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingRegressor
 from sklearn.model_selection import GroupKFold, cross_val_predict
 from threadpoolctl import threadpool_limits
 
-from cophy.audit.checks import Check, geometry_of, slots_in_order, three_sigma
+from cophy.audit.checks import Check, geometry_of, three_sigma
 from cophy.bootstrap import interval
 from cophy.dataset.difficulty import further_than_twin, in_place, objects_distance, stands
 from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS
+from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, slots_in_order
 
 NUM_FOLDS = 5
 # ours: accuracy above chance. In the paper's data it is 0.8 % above "all blocks stay" (Table 6 right: 71.8, 71.0 %)

@@ -14,7 +14,14 @@ from scipy.stats import ks_2samp
 from cophy.dataset.difficulty import in_place, mean_distance, stands, twin_differences
 from cophy.dataset.shards import Arrays, Sharded
 from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, build_scene, do_operation_of, trajectories_of, visible_axis
+from cophy.dataset.states import (
+    CONFOUNDERS_OF_OBJECTS,
+    build_scene,
+    do_operation_of,
+    slots_in_order,
+    trajectories_of,
+    visible_axis,
+)
 from cophy.scenario import Scenario, Shape
 from cophy.scenario.assignment import canonical_problems
 from cophy.scenario.physics import Scene, largest_energy_gain
@@ -343,12 +350,6 @@ def geometry_of(arrays: Arrays, sequence: int, num_objects: int) -> Geometry:
     axis = visible_axis(state[..., 3:7], shape)
     turn = (axis[..., 0] + 1j * axis[..., 1]) ** np.where(shape == Shape.BOX, 4, 2)
     return Geometry(state[..., :3], np.stack([turn.real, turn.imag], axis=-1), axis, shape, presence)
-
-
-def slots_in_order(arrays: Arrays, num_objects: int) -> np.ndarray:
-    """Return the slot of each object of A, (experiment, object), in the scenario's order."""
-    index = np.where(arrays["object_index"] < 0, num_objects, arrays["object_index"])
-    return np.argsort(index, axis=1, kind="stable")[:, :num_objects]
 
 
 def check_first_frames(arrays: Arrays, num_objects: int) -> Iterator[Check]:

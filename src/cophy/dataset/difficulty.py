@@ -7,6 +7,7 @@ import numpy as np
 
 from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
+from cophy.dataset.states import slots_in_order
 from cophy.scenario.statics import joint_margins
 
 
@@ -88,9 +89,7 @@ def true_margins(arrays: Arrays, spec: DatasetSpec) -> np.ndarray:
 
     A tower with a positive margin stands.
     """
-    # levels: the slots of A's blocks from the ground up; C may have one block less, the levels above mean nothing
-    index = np.where(arrays["object_index"] < 0, spec.num_objects, arrays["object_index"])
-    levels = index.argsort(axis=1)[:, : spec.num_objects]
+    levels = slots_in_order(arrays, spec.num_objects)  # from the ground up; C may have one block less
     initial = np.take_along_axis(arrays["states"][:, :, 0], levels[:, None, :, None], axis=2)
     xy, yaw = initial[..., :2], 2 * np.arctan2(initial[..., 5], initial[..., 6])
     mass = np.take_along_axis(arrays["mass"], levels, axis=1)

@@ -168,6 +168,12 @@ def sort_by_twins(arrays: Arrays, spec: DatasetSpec) -> Arrays:
     return {name: array[rows] for name, array in arrays.items()} | {"twin": spec.order.pair[rows], "experiment": rows}
 
 
+def slots_in_order(arrays: Arrays, num_objects: int) -> np.ndarray:
+    """Return the slot of each object of A, (experiment, object), in the scenario's order."""
+    index = np.where(arrays["object_index"] < 0, num_objects, arrays["object_index"])
+    return np.argsort(index, axis=1, kind="stable")[:, :num_objects]
+
+
 def clusters_of(spec: DatasetSpec, rows: np.ndarray) -> np.ndarray:
     """Return clusters of experiments, see `ExperimentSet.clusters`: blocks of `assign`."""
     block = spec.scenario.block_of(spec.order.number[rows], spec.num_objects, spec.data_seed)
