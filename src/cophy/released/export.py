@@ -170,8 +170,12 @@ def export(states: States, images: Images | None, root: Path) -> Path:
         for leftover in folder.glob(".*.tmp"):
             shutil.rmtree(leftover)
         missing = [row for row in range(len(arrays["split"])) if not (folder / str(row)).exists()]
-        for row, pictures in ((row, None) for row in missing) if images is None else _read_images(images, missing):
-            _write_folder(folder / str(row), _Experiment(spec.scenario, arrays, row, pictures))
+        read = None if images is None else images.pictures(arrays, (*NEEDED_MODALITIES, "boxes"))
+        with progress_bar(f"export of {states.title}", len(missing)) as bar:
+            for row in missing:
+                pictures = None if read is None else read(row)
+                _write_folder(folder / str(row), _Experiment(spec.scenario, arrays, row, pictures))
+                bar.update()
     (root / "splits").mkdir(exist_ok=True)
     for name, text in lists.items():
         write_atomically(root / "splits" / name, text)
@@ -209,22 +213,6 @@ def _claim(folder: Path, states: States, images: Images | None, splits: Path, li
             raise CophyError(f"{splits / name} is a list of other data: choose another root=")
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(marker, (json.dumps(content) + "\n").encode())
-
-
-def _read_images(images: Images, rows: list[int]) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-    """Yield each row with RGB, segmentation and boxes of AB and CD, shard by shard."""
-    source = images.best_available()
-    source.finished_checksums()
-    with progress_bar(f"export of {images.states.title}", len(rows)) as bar:
-        for shard in range(images.spec.num_shards):
-            within = images.spec.experiments_of_shard(shard)
-            wanted = [row for row in rows if row in within]
-            if not wanted:
-                continue
-            with source.report_damage(shard), source.open(shard) as stored:
-                for row in wanted:
-                    yield row, {name: stored[name][row - within.start] for name in (*NEEDED_MODALITIES, "boxes")}
-                    bar.update()
 
 
 def _write_folder(path: Path, experiment: _Experiment) -> None:
