@@ -1,15 +1,11 @@
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cophy.dataset.spec import DatasetSpec
-from cophy.dataset.states import States
 from cophy.scenario import Collision, Scene, Shape
 from cophy.scenario.experiment import Displace
 from cophy.scenario.physics import z_axis
-from tests.conftest import tiny_spec
 
 
 @pytest.fixture
@@ -35,17 +31,6 @@ def displaced(scenario: Collision, scene: Scene, kind: str, rng: np.random.Gener
 
 def test_a_cell_is_named_by_its_shapes() -> None:
     assert Collision.cells() == ("sphere_sphere", "sphere_cylinder", "cylinder_sphere", "cylinder_cylinder")
-
-
-def test_one_object_moves_and_its_shape_is_that_of_the_cell(tiny_data: Path) -> None:
-    spec: DatasetSpec = tiny_spec("collision")
-    arrays = States(spec, tiny_data).load()
-    moves = np.linalg.norm(arrays["states"][:, 0, 0, :, 7:10], axis=-1) > 0
-    assert (moves.sum(axis=1) == 1).all()
-    shapes = [spec.scenario.shapes_of_cell(cell) for cell in arrays["cell"]]
-    assert arrays["shape"][moves].tolist() == [moving for moving, _ in shapes]
-    still = (arrays["shape"] > 0) & ~moves
-    assert arrays["shape"][still].tolist() == [static for _, static in shapes]
 
 
 def test_the_moving_object_passes_the_static_one_within_the_offset_on_either_side_with_the_one_speed(
