@@ -20,20 +20,7 @@ _MODULES = {
     "Transformer": "transformer",
     "Trees": "trees",
 }
-__all__ = [
-    "GNS",
-    "Alongside",
-    "CoPhyNet",
-    "CopyB",
-    "CopyC",
-    "Derenderer",
-    "DisplacedCopyB",
-    "FittedSpheres",
-    "InteractionNetwork",
-    "Replay",
-    "Transformer",
-    "Trees",
-]
+__all__ = [*_MODULES]
 
 
 def __getattr__(name: str) -> Any:

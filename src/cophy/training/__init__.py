@@ -14,14 +14,7 @@ _MODULES = {
     "TrainedPredictor": "trained",
     "make_trainer": "trainer",
 }
-__all__ = [
-    "DerenderingModule",
-    "PredictionModule",
-    "Run",
-    "TrainedDerenderer",
-    "TrainedPredictor",
-    "make_trainer",
-]
+__all__ = [*_MODULES]
 
 
 def __getattr__(name: str) -> Any:
