@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import pytest
-import torch
 
 from cophy.atomic_files import sha256
 from cophy.report.runs import read_line
@@ -61,17 +60,6 @@ def check_given_checkpoint(outputs: Path, data: Path) -> None:
     )
     assert result(outputs, "3to3_unseen") == trained
     train(*elsewhere, data=data)  # its own it may replace
-
-
-def test_a_checkpoint_that_does_not_state_its_seed_is_not_tested(
-    copied_run: Path, tiny_data: Path, tmp_path: Path
-) -> None:
-    best = copied_run / "checkpoints" / "best.ckpt"
-    saved = torch.load(best, weights_only=True)
-    del saved["origin"]["seed"], saved["origin"]["trainer"]
-    torch.save(saved, best)
-    keys = ("scenario=collision", f"predictor={best}", f"hydra.run.dir={tmp_path / 'tested'}")
-    assert "does not state its seed" in train(*keys, data=tiny_data, code=1)
 
 
 @pytest.mark.slow

@@ -33,22 +33,19 @@ KEYS: dict[str, tuple[type, ...]] = {  # of an origin, with their types
     "positions": (str,),
     "num_objects": (list, NoneType),
     "trained_on": (list,),
-    "seed": (int, NoneType),
+    "seed": (int,),
     "trainer": (dict,),
     "source": (dict,),
     "format": (int,),
 }
-# that earlier versions did not store
-LATER_KEYS: dict[str, Any] = {"seed": None, "trainer": {}, "source": {"name": "generated"}, "format": 3}
+# that checkpoints of earlier formats lack, which are refused
+LATER_KEYS: dict[str, Any] = {"seed": 0, "trainer": {}, "source": {"name": "generated"}, "format": 3}
 # what Lightning restores from a checkpoint, beside the states of callbacks that name no paths; all else is dropped
 RESTORED = ("state_dict", "loops", "optimizer_states", "lr_schedulers", "MixedPrecision")
 MAX_CHECKPOINT_BYTES = 4 << 30  # ours: a predictor has a megabyte, the paper's de-renderer some hundred
 MAX_VALUES, MAX_DEPTH = 100_000, 10  # ours: an origin has some 200 values, 4 levels deep
 MAX_SIZE = 1 << 14  # ours: layers as wide as this do not fit into a checkpoint of 4 GiB, and nothing is so deep
 NETWORK = "network."  # prefix of the names of the network's weights
-MOVED = {  # classes that earlier versions had elsewhere, as their checkpoints name them
-    "cophy.models.alongside.alongside.Alongside": "cophy.models.alongside.Alongside",
-}
 MODELS = "cophy.models."  # the only modules that are imported because a checkpoint names them
 # what torch raises for bytes that are no checkpoint
 LOADING_ERRORS = (
@@ -214,12 +211,12 @@ def _num_stored_bytes(tensors: list[Tensor]) -> int:
 
 
 def _check_origin(origin: Any, source: Path) -> dict[str, Any]:
-    """Return an origin with today's class names, after a check of its keys, types and size."""
+    """Return an origin after a check of its keys, types and size."""
     try:
         check_plain_values(origin)
         if not isinstance(origin, dict):
             raise ValueError("no origin")
-        origin = LATER_KEYS | origin
+        origin = origin if "format" in origin else LATER_KEYS | origin
         if unknown := origin.keys() ^ KEYS.keys():
             raise ValueError(f"key {min(unknown)} is missing or unknown")
         for key, types in KEYS.items():
@@ -238,7 +235,7 @@ def _check_origin(origin: Any, source: Path) -> dict[str, Any]:
             f"{source} was trained by an earlier version (data of format {origin['format']}, now {FORMAT_VERSION}): "
             "train it again (docs/reference/upgrading.md)"
         )
-    return dict(_with_current_names(origin))
+    return dict(origin)
 
 
 def check_plain_values(tree: Any) -> None:
@@ -265,16 +262,6 @@ def check_plain_values(tree: Any) -> None:
             return
         level = children
     raise ValueError(f"values are nested more than {MAX_DEPTH} deep, or contain themselves")
-
-
-def _with_current_names(tree: Any) -> Any:
-    """Replace every `_target_` of an earlier version by its current name."""
-    if not isinstance(tree, dict):
-        return tree
-    return {
-        key: MOVED.get(value, value) if key == "_target_" and isinstance(value, str) else _with_current_names(value)
-        for key, value in tree.items()
-    }
 
 
 def misfit(source: Path, error: Exception) -> CophyError:
@@ -400,8 +387,7 @@ def check_resumable(ckpt: Path, origin: dict[str, Any], network: nn.Module) -> N
     checkpoint = _read(ckpt, "ckpt", "last.ckpt")
     if not checkpoint.has_optimizer:
         raise CophyError(f"ckpt={ckpt} holds only weights, for tests and predictions: use the run's last.ckpt")
-    is_old = checkpoint.origin["seed"] is None
-    stored, wanted = (_settings(each, with_later_keys=not is_old) for each in (checkpoint.origin, origin))
+    stored, wanted = _settings(checkpoint.origin), _settings(origin)
     if keys := _differing(*({key: each[key] for key in each.keys() - MAY_CHANGE} for each in (stored, wanted))):
         raise CophyError(
             f"ckpt={ckpt} belongs to another training ({keys}): use the same settings, or train from scratch"
@@ -418,12 +404,10 @@ def check_trained(predictor: Path, origin: dict[str, Any], network: nn.Module) -
         network: Its network.
 
     Raises:
-        CophyError: It is not a checkpoint, too old to tell, or of another training (the message names the keys that
-            differ), or its weights do not fit.
+        CophyError: It is not a checkpoint, or of another training (the message names the keys that differ), or its weights
+            do not fit.
     """
     checkpoint = _read(predictor, "predictor", "best.ckpt")
-    if checkpoint.origin["seed"] is None:
-        raise CophyError(f"predictor={predictor} does not state its seed, as checkpoints of earlier versions")
     if keys := _differing(_settings(checkpoint.origin), _settings(origin)):
         raise CophyError(f"predictor={predictor} belongs to another training ({keys}): use the same settings")
     _check_weights(predictor, checkpoint, network)
@@ -450,13 +434,11 @@ def _check_weights(source: Path, checkpoint: Checkpoint, network: nn.Module) -> 
         raise misfit(source, error) from error
 
 
-def _settings(origin: dict[str, Any], *, with_later_keys: bool = True) -> dict[str, Any]:
+def _settings(origin: dict[str, Any]) -> dict[str, Any]:
     """Return the settings that weights depend on, under dotted names."""
-    groups = {key: origin[key] for key in ("scenario", "model", "training", "data_seed", "size")}
-    groups |= {"split.train": origin["split"].get("train"), "data": origin["trained_on"]}
-    if with_later_keys:
-        factor = origin["split"].get("epochs_factor")
-        groups |= {"seed": origin["seed"], "trainer": origin["trainer"], "split.epochs_factor": factor}
+    groups = {key: origin[key] for key in ("scenario", "model", "training", "data_seed", "size", "seed", "trainer")}
+    groups |= {f"split.{key}": origin["split"].get(key) for key in ("train", "epochs_factor")}
+    groups["data"] = origin["trained_on"]
     return {key: value for key, value in flatten(groups).items() if key not in NO_EFFECT}
 
 
