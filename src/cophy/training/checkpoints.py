@@ -25,6 +25,7 @@ from cophy.atomic_files import write_atomically
 from cophy.dataset.spec import FORMAT_VERSION
 from cophy.errors import CophyError
 from cophy.training.losses import MSE
+from cophy.training.run import NO_RESULT
 
 ORIGIN = "origin"  # the key of a checkpoint for the configuration of its training
 KEYS: dict[str, tuple[type, ...]] = {  # of an origin, with their types
@@ -53,15 +54,10 @@ LOADING_ERRORS = (
     *(pickle.UnpicklingError, EOFError, MemoryError),
 )
 DATA = (NoneType, bool, int, float, complex, str, bytes, torch.dtype, torch.device)  # beside tensors and containers
-# without effect on weights, or allowed to change when a training continues
-NO_EFFECT = {"scenario.task.splits"}
-MAY_CHANGE = {
+NO_EFFECT = {*NO_RESULT, "trainer.limit_test_batches"}  # on weights; the devices of a training only change rounding
+MAY_CHANGE = {  # when a training continues
     *("trainer.max_epochs", "trainer.max_time", "split.epochs_factor", "trainer.fast_dev_run"),
     *("trainer.limit_val_batches", "trainer.check_val_every_n_epoch"),
-}
-NOT_STORED = {  # keys of `trainer` that change no weight
-    *("enable_progress_bar", "enable_model_summary", "log_every_n_steps", "limit_test_batches", "profiler"),
-    *("accelerator", "devices", "num_nodes", "strategy"),  # they only change rounding
 }
 GROUPS = ("scenario", "size")  # named in messages by their choice instead of each key
 MAX_NAMED = 3  # settings in a message
@@ -121,7 +117,7 @@ def make_origin(config: Mapping[str, Any], trained_on: list[Any]) -> dict[str, A
         config: The resolved configuration of train.py as plain values.
         trained_on: Everything that the training batches are a function of, as the datamodule states it.
     """
-    trainer = {key: value for key, value in config["trainer"].items() if key not in NOT_STORED}
+    trainer = {key: value for key, value in config["trainer"].items() if f"trainer.{key}" not in NO_EFFECT}
     keys = [key for key in KEYS if key not in ("trainer", "trained_on", "format")]
     values = {key: config[key] for key in keys}
     # without the folder of outputs, a path of this machine
