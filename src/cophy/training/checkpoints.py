@@ -357,15 +357,13 @@ def restore_network(checkpoint: Checkpoint, source: Path, network_class: type[nn
 
 
 def _check_shapes(weights: Mapping[str, Tensor], network: nn.Module, target: str) -> None:
-    if name := _differing_weight(weights, network.state_dict()):
-        raise ValueError(f"{name} does not fit {target} as it is now")
-
-
-def _differing_weight(weights: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> str | None:
-    """Return the first name whose weight is missing, unknown, or of another shape."""
-    shapes, expected_shapes = ({key: each.shape for key, each in tensors.items()} for tensors in (weights, expected))
-    names = sorted(shapes.keys() | expected_shapes.keys())
-    return next((name for name in names if shapes.get(name) != expected_shapes.get(name)), None)
+    """Raise ValueError with the first name whose weight is missing, unknown, or of another shape."""
+    shapes, expected = (
+        {key: each.shape for key, each in tensors.items()} for tensors in (weights, network.state_dict())
+    )
+    for name in sorted(shapes.keys() | expected.keys()):
+        if shapes.get(name) != expected.get(name):
+            raise ValueError(f"{name} does not fit {target} as it is now")
 
 
 def check_resumable(ckpt: Path, origin: dict[str, Any], network: nn.Module) -> None:
