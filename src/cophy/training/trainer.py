@@ -186,9 +186,7 @@ def start_processes(trainer: L.Trainer, module: nn.Module) -> None:
 
 def decide_first(trainer: L.Trainer, decide: Callable[[], Decision]) -> Decision:
     """Call a function in the first process alone, and return its result in all of them."""
-    if trainer.world_size == 1:
-        return decide()
-    return trainer.strategy.broadcast(decide() if is_rank_zero() else None)  # type: ignore[return-value]
+    return trainer.strategy.broadcast(decide() if trainer.is_global_zero else None)  # type: ignore[return-value]
 
 
 def was_requeued() -> bool:
