@@ -68,8 +68,7 @@ def length(vectors: Float[Tensor, "*any 3"]) -> Float[Tensor, "*any 1"]:
 def offsets(vectors: Float[Tensor, "batch slots 3"]) -> Float[Tensor, "batch others slots 4"]:
     """Return the difference from each receiver to each of the others, and its length."""
     difference = others(vectors) - vectors[:, None]
-    distance = difference.square().sum(dim=-1, keepdim=True).add(EPSILON).sqrt()
-    return torch.cat([difference, distance], dim=-1)
+    return torch.cat([difference, length(difference)], dim=-1)
 
 
 @dataclass(frozen=True)
