@@ -51,11 +51,11 @@ def _octant(vector: Float[Tensor, "batch 2"]) -> Float[Tensor, "batch 2 2"]:
 
 
 def turn(
-    position: Float[Tensor, "batch *any 3"], matrices: Float[Tensor, "batch 2 2"]
-) -> Float[Tensor, "batch *any 3"]:
-    """Apply the matrix of each experiment to x and y."""
-    xy = torch.einsum("bij,b...j->b...i", matrices.to(position), position[..., :2])
-    return torch.cat([xy, position[..., 2:]], dim=-1)
+    vectors: Float[Tensor, "batch *any dims"], matrices: Float[Tensor, "batch 2 2"]
+) -> Float[Tensor, "batch *any dims"]:
+    """Apply the matrix of each experiment to x and y; z, if there is one, stays."""
+    xy = torch.einsum("bij,b...j->b...i", matrices.to(vectors), vectors[..., :2])
+    return torch.cat([xy, vectors[..., 2:]], dim=-1)
 
 
 def turn_inputs(inputs: Inputs, matrices: Float[Tensor, "batch 2 2"]) -> Inputs:

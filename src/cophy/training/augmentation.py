@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cophy.dataset.datamodules import ONE_DEVICE, DeviceShare
+from cophy.models.frames import turn, turn_inputs
 from cophy.scenario import Scenario
 from cophy.training.settings import Augmentation
 from cophy.types import HORIZONTAL, POSE_ANGLES, Batch
@@ -39,12 +40,14 @@ def augment(
 def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:
     """Change coordinates: each matrix acts on x and y of AB, C, D, confounders and poses alike."""
     inputs, targets = batch.inputs, batch.targets
-    turned = replace(inputs, observed=_turned(inputs.observed, matrices), initial=_turned(inputs.initial, matrices))
+    turned = turn_inputs(inputs, matrices)
     if inputs.confounders is not None:
-        turned.confounders = _turned_confounders(inputs.confounders, matrices)
+        turned.confounders = _turned(inputs.confounders, [(columns, matrices) for columns in HORIZONTAL])
     if inputs.pose is not None:
-        turned.pose = _turned_pose(inputs.pose, matrices)
-    truth = replace(targets, position=_turned(targets.position, matrices), initial=_turned(targets.initial, matrices))
+        doubled = _doubled(matrices)
+        multiples = {1: matrices, 2: doubled, 4: _doubled(doubled)}
+        turned.pose = _turned(inputs.pose, [(POSE_ANGLES[n], multiple) for n, multiple in multiples.items()])
+    truth = replace(targets, position=turn(targets.position, matrices), initial=turn(targets.initial, matrices))
     return Batch(turned, truth)
 
 
@@ -72,28 +75,12 @@ def add_position_noise(batch: Batch, max_std: float, draw: tuple[int, ...], shar
 
 
 def _turned(
-    position: Float[Tensor, "batch *any 3"], matrices: Float[Tensor, "batch 2 2"]
-) -> Float[Tensor, "batch *any 3"]:
-    xy = torch.einsum("bij,b...j->b...i", matrices, position[..., :2])
-    return torch.cat([xy, position[..., 2:]], dim=-1)
-
-
-def _turned_confounders(
-    confounders: Float[Tensor, "batch slots features"], matrices: Float[Tensor, "batch 2 2"]
+    features: Float[Tensor, "batch slots features"], parts: list[tuple[list[int], Float[Tensor, "batch 2 2"]]]
 ) -> Float[Tensor, "batch slots features"]:
-    turned = confounders.clone()
-    for columns in HORIZONTAL:
-        turned[..., columns] = torch.einsum("bij,bkj->bki", matrices, confounders[..., columns])
-    return turned
-
-
-def _turned_pose(
-    pose: Float[Tensor, "batch slots 7"], matrices: Float[Tensor, "batch 2 2"]
-) -> Float[Tensor, "batch slots 7"]:
-    turned, doubled = pose.clone(), _doubled(matrices)
-    for n, multiple in ((1, matrices), (2, doubled), (4, _doubled(doubled))):
-        columns = POSE_ANGLES[n]
-        turned[..., columns] = torch.einsum("bij,bkj->bki", multiple, pose[..., columns])
+    """Apply matrices to some columns of features, two at a time."""
+    turned = features.clone()
+    for columns, matrices in parts:
+        turned[..., columns] = turn(features[..., columns], matrices)
     return turned
 
 
