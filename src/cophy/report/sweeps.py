@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from cophy.report.methods import METHOD, TABLE, VALIDATION, listed, measured_cell, method_title, natural, table_name
 from cophy.report.render import UNCERTAINTY, TextTable
-from cophy.training.run import short_keys
+from cophy.training.run import flatten, short_keys
 
 CONFIG = Path(".hydra") / "config.yaml"  # in the directory of a run
 MEASURES = {VALIDATION: "validation", "mse": "test"}
@@ -83,17 +83,9 @@ def _value(changed: dict[str, str], key: str, directory: Path) -> str:
         config = yaml.safe_load((directory / CONFIG).read_text("utf-8"))
     except (OSError, ValueError, RecursionError, yaml.YAMLError):  # moved or damaged
         return UNCHANGED
-    values = {text for name, text in _leaves(config, "") if f".{name}".endswith(f".{key}") and "${" not in text}
+    values = {str(value) for name, value in flatten({"": config}).items() if name.endswith(f".{key}")}
+    values = {text for text in values if "${" not in text}
     return values.pop() if len(values) == 1 else UNCHANGED
-
-
-def _leaves(config: Any, name: str) -> Iterator[tuple[str, str]]:
-    """Yield whole key and value, as text, of every value of a configuration."""
-    if isinstance(config, dict):
-        for key, value in config.items():
-            yield from _leaves(value, f"{name}.{key}" if name else str(key))
-    else:
-        yield name, str(config)
 
 
 def sweep_table(sweep: Sweep) -> TextTable:

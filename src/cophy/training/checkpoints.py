@@ -25,7 +25,7 @@ from cophy.atomic_files import write_atomically
 from cophy.dataset.spec import FORMAT_VERSION
 from cophy.errors import CophyError
 from cophy.training.losses import MSE
-from cophy.training.run import NO_RESULT
+from cophy.training.run import NO_RESULT, flatten
 
 ORIGIN = "origin"  # the key of a checkpoint for the configuration of its training
 KEYS: dict[str, tuple[type, ...]] = {  # of an origin, with their types
@@ -405,14 +405,6 @@ def check_trained(predictor: Path, origin: dict[str, Any], network: nn.Module) -
     if keys := _differing(_settings(checkpoint.origin), _settings(origin)):
         raise CophyError(f"predictor={predictor} belongs to another training ({keys}): use the same settings")
     _check_weights(predictor, checkpoint, network)
-
-
-def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return the leaves of nested dictionaries under dotted names."""
-    leaves: dict[str, Any] = {}
-    for key, value in tree.items():
-        leaves |= flatten(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return leaves
 
 
 def _read(path: Path, key: str, name: str) -> Checkpoint:

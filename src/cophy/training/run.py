@@ -233,6 +233,14 @@ def differences(key: str, value: Any, expected: Any) -> Iterator[tuple[str, Any]
         yield key, value
 
 
+def flatten(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the leaves of nested dictionaries under dotted names."""
+    leaves: dict[str, Any] = {}
+    for key, value in tree.items():
+        leaves |= flatten(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return leaves
+
+
 def short_keys(keys: Iterable[str]) -> dict[str, str]:
     """Return each key with its last word, or with itself where another key ends in the same word."""
     last_words = {key: key.rpartition(".")[2] for key in keys}

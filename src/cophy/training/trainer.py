@@ -37,10 +37,10 @@ from cophy.training.callbacks import (
     StopTogether,
     Stopwatch,
 )
-from cophy.training.checkpoints import LOADING_ERRORS, WholeCheckpoints, flatten, misfit
+from cophy.training.checkpoints import LOADING_ERRORS, WholeCheckpoints, misfit
 from cophy.training.instantiation import instantiate_key
 from cophy.training.reuse import Start
-from cophy.training.run import Run, is_rank_zero
+from cophy.training.run import Run, flatten, is_rank_zero
 
 MAX_PROCESSES_PER_CORE = 8  # of a run on CPUs; more would only fill the memory
 
