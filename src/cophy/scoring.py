@@ -222,6 +222,14 @@ def mean_squared_error(
     return mean_over_objects(squared[..., :dims].mean(axis=(1, 3)), presence)
 
 
+def mse_of_copies(positions: Mapping[str, np.ndarray], truth: Truth) -> dict[str, float]:
+    """Return the MSE in m² of the positions that each copy baseline predicts, in the order of the truth."""
+    return {
+        name: float(mean_squared_error(each, truth.position, truth.presence, truth.metric_dims).mean())
+        for name, each in positions.items()
+    }
+
+
 def mean_over_objects(values: np.ndarray, presence: np.ndarray) -> np.ndarray:
     """Return the (n,) mean of (n, K) values over the present objects of each experiment."""
     return np.asarray(np.where(presence, values, 0.0).sum(axis=1) / presence.sum(axis=1))

@@ -14,7 +14,7 @@ from cophy.atomic_files import sha256
 from cophy.config import generated_by, require_scenario, to_config, value_text, variant
 from cophy.errors import CophyError, check_name
 from cophy.schemas import ScoreConfig
-from cophy.scoring import Predictions, Scores, score
+from cophy.scoring import Predictions, Scores, mse_of_copies, score
 from cophy.submission import TestedSplit, read_predictions_file, read_test_split, write_template
 from cophy.training.run import SCORED_FILE, Results, Run
 
@@ -128,8 +128,7 @@ def copies(test: TestedSplit) -> dict[str, float]:
     """Return the MSE of copy C and of copy B, as `cophy.models.baselines` defines them."""
     truth = test.truth
     positions = {"copy_c": np.broadcast_to(truth.initial[:, None], truth.position.shape), "copy_b": test.observed}
-    scores = {name: score(Predictions(truth.experiment, position), truth) for name, position in positions.items()}
-    return {name: float(each.mse.mean()) for name, each in scores.items()}
+    return mse_of_copies(positions, truth)
 
 
 def run_arrays(predictions: Predictions, test: TestedSplit) -> dict[str, np.ndarray]:

@@ -18,7 +18,7 @@ from cophy.errors import CophyError
 from cophy.models.baselines import CopyB, CopyC
 from cophy.models.trees import Trees
 from cophy.scenario import Scenario
-from cophy.scoring import Predictions, Truth, score
+from cophy.scoring import Predictions, Truth, mse_of_copies, score
 from cophy.training.augmentation import add_position_noise, augment, matrices_of
 from cophy.training.instantiation import instantiate_function
 from cophy.training.losses import MSE, confounder_loss, position_loss, stability_loss
@@ -172,7 +172,11 @@ class PredictionModule(L.LightningModule):
                 assert estimate is not None
                 probed = probe(Probed(estimate, train.targets), tested)
                 arrays, values = arrays | probed, {**values, **probe_accuracies(probed)}
-        return Results(values, scores.cluster, mse_of_copies(batch, truth, data.mean_position), arrays)
+        copies = {
+            name: place_missed(copy(batch.inputs), batch, data.mean_position).position.numpy()
+            for name, copy in {"copy_c": CopyC(), "copy_b": CopyB()}.items()
+        }
+        return Results(values, scores.cluster, mse_of_copies(copies, truth), arrays)
 
     def check_batches(self, inputs: Inputs) -> None:
         """Compare predictions of single experiments with those of a batch: each must depend on its own AB and C alone.
@@ -314,22 +318,6 @@ def prediction_arrays(
     if prediction.draw_variance is not None:
         tensors["draw_variance"] = torch.where(presence[..., None], prediction.draw_variance, 0.0)
     return {"experiment": experiments, "cluster": clusters} | {name: tensor.numpy() for name, tensor in tensors.items()}
-
-
-def mse_of_copies(batch: Batch, truth: Truth, missed_position: Float[Tensor, "3"]) -> dict[str, float]:
-    """Return the test MSE, m², of copy C ("D is C") and of copy B ("D is B"), the reference values of every MSE.
-
-    Args:
-        batch: The test split.
-        truth: Of the same experiments in the same order.
-        missed_position: Predicted position of objects that the de-renderer missed in C, metres.
-    """
-    copies = {"copy_c": CopyC(), "copy_b": CopyB()}
-    predictions = {name: place_missed(copy(batch.inputs), batch, missed_position) for name, copy in copies.items()}
-    scores = {
-        name: score(Predictions(truth.experiment, each.position.numpy()), truth) for name, each in predictions.items()
-    }
-    return {name: float(each.mse.mean()) for name, each in scores.items()}
 
 
 def _to_cpu(tensor: Tensor) -> Tensor:
