@@ -10,18 +10,9 @@ import torch
 from torch import Tensor
 
 from cophy.errors import CophyError
-from cophy.scenario import Task
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
-from cophy.training.metrics import (
-    MeanOfEachCell,
-    StandingConfusion,
-    collection,
-    own_measures,
-    position_measures,
-    stability_measures,
-    twin_collection,
-)
-from cophy.types import Batch, Prediction, Targets, take
+from cophy.training.metrics import mean_squared_error, own_measures, standing_confusion
+from cophy.types import Batch, Prediction, Targets
 from tests.models.networks import random_batch
 from tests.training.scored import scored
 
@@ -52,45 +43,11 @@ def prediction() -> Prediction:
     return Prediction(position, torch.tensor([[[9.0, 9.0], [-9.0, 9.0]], [[-9.0, 9.0], [9.0, 9.0]]]))
 
 
-def position_metrics(dims: int):
-    return collection(position_measures(Task(dims, stable_speed=0.1, by_height=False, splits=[])), prefix="")
-
-
-def stability_metrics():
-    return collection(stability_measures(), prefix="")
-
-
-def computed(metrics) -> dict[str, float]:
-    metrics.update(prediction(), targets())
-    return {name: float(value) for name, value in metrics.compute().items()}
-
-
-def test_mse_in_three_dimensions() -> None:
-    first = (9 / 3 + 25 / 3) / 4  # two objects, two steps
-    second = (36 / 3) / 2  # one object, two steps
-    assert computed(position_metrics(3))["mse"] == pytest.approx((first + second) / 2)
-
-
-def test_mse_in_two_dimensions_ignores_height() -> None:
-    assert computed(position_metrics(2))["mse"] == pytest.approx((9 / 2 + 9 / 2) / 4 / 2)
-
-
-def test_final_position_error_is_the_last_step() -> None:
-    assert computed(position_metrics(3))["final_position_error"] == pytest.approx((5.0 / 2 + 6.0) / 2)
-
-
-def test_stability_accuracy_and_its_base_rate() -> None:
-    values = computed(stability_metrics())
-    assert values["stability_accuracy"] == pytest.approx((2 / 4 + 1 / 2) / 2)
-    assert values["stability_base_rate"] == pytest.approx((3 / 4 + 1 / 2) / 2)
-
-
-def test_sequence_stability_needs_every_step() -> None:
-    """First experiment: both objects are predicted wrongly; second: both are predicted to move."""
-    stays = replace(prediction(), stable_logit=torch.tensor([[[9.0, 9.0], [-9.0, 9.0]], [[9.0, 9.0], [9.0, -9.0]]]))
-    values = [metric.measure(stays, targets()) for metric in stability_metrics().values()]
-    names = list(stability_metrics())
-    assert values[names.index("sequence_stability_accuracy")].tolist() == [0.0, 1.0]
+@pytest.mark.parametrize(
+    ("dims", "first", "second"), [(3, (9 / 3 + 25 / 3) / 4, (36 / 3) / 2), (2, (9 / 2 + 9 / 2) / 4, 0.0)]
+)
+def test_the_mse_in_training_is_over_coordinates_objects_and_steps(dims: int, first: float, second: float) -> None:
+    assert mean_squared_error(dims)(prediction(), targets()).tolist() == pytest.approx([first, second])
 
 
 def test_confounder_loss_is_over_the_objects_of_ab() -> None:
@@ -103,20 +60,6 @@ def test_confounder_loss_is_over_the_objects_of_ab() -> None:
         atol=1e-4,
         rtol=0,
     )
-
-
-def test_every_experiment_counts_once_whatever_its_targets() -> None:
-    whole, split = position_metrics(3), position_metrics(3)
-    whole.update(prediction(), targets())
-    for row in (slice(0, 1), slice(1, 2)):
-        split.update(Prediction(prediction().position[row]), take(targets(), row))
-    assert whole.compute() == split.compute()
-
-
-def test_a_perfect_prediction_has_no_error() -> None:
-    metrics = position_metrics(3)
-    metrics.update(Prediction(targets().position), targets())
-    assert all(value == 0 for value in metrics.compute().values())
 
 
 def test_losses_ignore_empty_slots() -> None:
@@ -186,10 +129,10 @@ def test_a_metric_of_another_kind_is_refused(wrong: Any, message: str, monkeypat
         own_measures({"height": OWN}, ())["height"](prediction(), targets())
 
 
-@pytest.mark.parametrize("name", ["mse", "position_loss", "pixel_error", "probe_accuracy"])
+@pytest.mark.parametrize("name", ["mse", "mse_both_stand", "position_loss", "pixel_error", "probe_accuracy"])
 def test_a_name_of_another_metric_is_refused(name: str) -> None:
     with pytest.raises(CophyError, match=rf"metrics\.{name}: there is a metric or loss of this name"):
-        own_measures({name: OWN}, ("mse",))
+        own_measures({name: OWN}, ("mse_both_stand",))
 
 
 def test_one_logit_per_sequence_predicts_being_always_stable() -> None:
@@ -224,38 +167,6 @@ def test_the_pixel_error_by_height_is_the_mean_of_the_heights(tower_batch: Batch
     assert means["pixel_error_by_height"] != pytest.approx(means["pixel_error"], rel=1e-6)
 
 
-@pytest.mark.parametrize("dims", [2, 3])
-def test_metrics_in_training_are_the_scores_of_the_test(dims: int, scenario_of) -> None:
-    batch, scenario = random_batch(4, [3] * 12), scenario_of("blocktower", f"scenario.task.metric_dims={dims}")
-    presence = batch.targets.presence[::2].repeat_interleave(2, dim=0)
-    targets = replace(batch.targets, presence=presence, position=batch.targets.position.double())
-    noisy = Prediction(targets.position + torch.randn(targets.position.shape), torch.randn(12, 6, 4))
-    metrics = [
-        collection(position_measures(scenario.task), prefix=""),
-        collection(stability_measures(), prefix=""),
-        twin_collection(dims, ""),
-    ]
-    means = scored(noisy, targets, scenario).means()
-    for each in metrics:
-        each.update(noisy, targets)
-        for name, value in each.compute().items():
-            assert float(value) == pytest.approx(means[name], rel=1e-6)
-
-
-def test_every_cell_has_its_own_mean() -> None:
-    cells = MeanOfEachCell(3)
-    cells.update(torch.tensor([1.0, 2.0, 9.0]), torch.tensor([0, 2, -1]))
-    cells.update(torch.tensor([3.0]), torch.tensor([0]))
-    torch.testing.assert_close(cells.compute(), torch.tensor([2.0, torch.nan, 2.0]).double(), equal_nan=True)
-
-
-def test_experiments_of_a_cell_are_counted_in_every_precision() -> None:
-    cells = MeanOfEachCell(1).to(torch.bfloat16)
-    for _ in range(3):
-        cells.update(torch.ones(200, dtype=torch.bfloat16), torch.zeros(200, dtype=torch.int64))
-    assert cells.count.tolist() == [600]
-
-
 def test_a_tower_stands_if_all_its_objects_do() -> None:
     targets = random_batch(4, [2, 2, 2, 2], num_frames=3).targets
     stands = torch.tensor([True, True, False, False])
@@ -263,7 +174,4 @@ def test_a_tower_stands_if_all_its_objects_do() -> None:
     logit = torch.where(targets.presence[:, None], 1.0, -1.0).repeat(1, 2, 1)  # what is not there does not count
     slot = targets.presence[1].int().argmax()
     logit[1, 0, slot] = logit[2, 0, targets.presence[2].int().argmax()] = -1.0
-    confusion = StandingConfusion()
-    for rows in ([0, 1], [2, 3]):
-        confusion.update(take(Prediction(targets.position, logit), rows), take(targets, rows))
-    assert confusion.compute().tolist() == [[1, 1], [1, 1]]
+    assert standing_confusion(Prediction(targets.position, logit), targets).tolist() == [[1, 1], [1, 1]]

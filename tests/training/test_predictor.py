@@ -16,10 +16,12 @@ from cophy.config import settings
 from cophy.dataset.datamodules import CounterfactualDataset
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
+from cophy.training.metrics import VALIDATED
 from cophy.training.predictor import PredictionModule
 from cophy.types import Batch, Inputs, Prediction
 from tests.conftest import quick_first
 from tests.models.networks import build
+from tests.training.scored import scored
 
 
 def module_of(
@@ -142,6 +144,25 @@ def test_noise_is_of_training_alone(tower_batch: Batch) -> None:
     trainer.fit(module, batches, batches)
     assert torch.equal(network.seen[False], tower_batch.inputs.observed)
     assert 0.01 < (network.seen[True] - tower_batch.inputs.observed).std() < 0.1
+
+
+@pytest.mark.parametrize("has_twins", [True, False])
+def test_validation_scores_all_experiments_at_once(has_twins: bool, tower_batch: Batch) -> None:
+    targets = tower_batch.targets
+    targets = targets if has_twins else replace(targets, pair=torch.arange(len(targets)))
+    module, batch = module_of(build("cophynet")), replace(tower_batch, targets=targets)
+    (values,) = L.Trainer(**QUIET).validate(module, CounterfactualDataset(batch).in_order(16), verbose=False)
+    with torch.no_grad():
+        scores = scored(module.eval()(batch), targets, module.scenario)
+    expected = {name: mean for name, mean in scores.means().items() if name in VALIDATED}
+    cell, cells = targets.cell.numpy(), enumerate(module.scenario.cells())
+    expected |= {f"mse_{name}": scores.mse[cell == i].mean() for i, name in cells if i in cell}
+    assert expected.keys() >= {*VALIDATED} - (
+        set() if has_twins else {"twin_difference_explained", "right_twin_chosen"}
+    )
+    measured = {name.removeprefix("val/"): value for name, value in values.items() if not name.endswith("loss")}
+    assert measured == pytest.approx(expected, rel=1e-5)
+    assert module.standing.sum() == len(batch)
 
 
 DTYPES = {"32-true": torch.float32, "64-true": torch.float64, "bf16-mixed": torch.float32, "16-mixed": torch.float32}

@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 # TensorBoard sorts cards by name: with these names the first ones are results
 CARD_NAMES = {"val/mse": "mse/val", "test/mse": "mse/test"}
 CELL_PREFIX = "val/mse_"
-CONSTANT = {"epoch", "train/stability_base_rate", "val/stability_base_rate"}  # not shown as curves
+CONSTANT = {"epoch", "val/stability_base_rate"}  # not shown as curves
 TABLE_METRICS = (
     "mse",
     "twin_difference_explained",

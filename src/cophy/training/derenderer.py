@@ -7,13 +7,12 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
-from torchmetrics import MetricCollection
 
 from cophy.dataset.frames import FrameBatch, FrameDataModule
 from cophy.models.derenderer import Derendered, Derenderer
-from cophy.training.metrics import PerExperiment, collection, gather_devices, over_objects
+from cophy.training.metrics import PerExperiment, gather_devices, over_objects
 from cophy.training.optimisation import make_optimizer
 from cophy.training.run import Results
 from cophy.training.settings import Training
@@ -31,9 +30,6 @@ class DerenderingModule(L.LightningModule):
     def __init__(self, network: Derenderer, training: Training) -> None:
         super().__init__()
         self.network, self.training_settings = network, training
-        self.metrics = nn.ModuleDict(
-            {f"in_{split}": collection(DERENDERING_METRICS, f"{split}/") for split in ("train", "val")}
-        )
 
     def setup(self, stage: str) -> None:
         """Let the network predict positions in units of their spread over the training frames."""
@@ -82,22 +78,12 @@ class DerenderingModule(L.LightningModule):
 
     def _step(self, split: str, batch: FrameBatch) -> Float[Tensor, ""]:
         output = self(batch.image)
-        metrics = self.metrics[f"in_{split}"]
-        assert isinstance(metrics, MetricCollection)
-        metrics(output, batch)
-        self.log_dict(metrics, on_step=False, on_epoch=True)
-        position = squared_error(output, batch).mean()
+        values = {name: metric(output, batch).mean() for name, metric in DERENDERING_METRICS.items()}
         logit = output.presence_logit
-        presence = binary_cross_entropy_with_logits(logit, batch.presence.to(logit.dtype))
-        self.log(
-            f"{split}/loss",
-            position + presence,
-            on_step=False,
-            on_epoch=True,
-            batch_size=len(batch.image),
-            sync_dist=True,
-        )
-        return position + presence
+        loss = values["mse"] + binary_cross_entropy_with_logits(logit, batch.presence.to(logit.dtype))
+        logged = {f"{split}/{name}": value for name, value in (values | {"loss": loss}).items()}
+        self.log_dict(logged, on_step=False, on_epoch=True, batch_size=len(batch.image), sync_dist=True)
+        return loss
 
 
 def squared_error(output: Derendered, truth: FrameBatch) -> PerExperiment:

@@ -1,6 +1,5 @@
 """Stage 2: train and test a predictor of D (paper Sec. 4)."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,30 +10,23 @@ import torch
 from jaxtyping import Float
 from lightning.pytorch.utilities.types import STEP_OUTPUT, OptimizerLRScheduler
 from torch import Tensor, nn
-from torchmetrics import MetricCollection
 
 from cophy.dataset.datamodules import CounterfactualDataModule, DeviceShare
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyB, CopyC
 from cophy.models.trees import Trees
-from cophy.scenario import Scenario
-from cophy.scoring import Predictions, Truth, mse_of_copies, score
+from cophy.scenario import Camera, Scenario
+from cophy.scoring import Predictions, Scores, Truth, mse_of_copies, score
 from cophy.training.augmentation import add_position_noise, augment, matrices_of
 from cophy.training.instantiation import instantiate_function
 from cophy.training.losses import MSE, confounder_loss, position_loss, stability_loss
 from cophy.training.metrics import (
     NOT_FINITE,
-    MeanOfEachCell,
-    StandingConfusion,
-    collection,
     gather_devices,
-    have_twins,
     mean_squared_error,
     own_measures,
     place_missed,
-    position_measures,
-    stability_measures,
-    twin_collection,
+    standing_confusion,
 )
 from cophy.training.optimisation import make_optimizer
 from cophy.training.probe import Probed, collect_estimates, probe, probe_accuracies, warn_if_constant
@@ -83,7 +75,7 @@ class PredictionModule(L.LightningModule):
 
     Attributes:
         tested: After a test, on the CPU: the predictions, their batch, and (experiment,) their rows in the test split.
-        standing: After a validation of towers: `StandingConfusion`; None if the network does not predict stability.
+        standing: After a validation of towers: `standing_confusion`; None if the network does not predict stability.
     """
 
     tested: tuple[Prediction, Batch, np.ndarray]
@@ -117,18 +109,10 @@ class PredictionModule(L.LightningModule):
         matrices = torch.from_numpy(matrices_of(scenario, training.augmentation)).float()
         self.register_buffer("augmentations", matrices, persistent=False)
         self.confounder_heads = _confounder_heads(network, scenario) if training.confounder_weight else None
-        measures = {"position": position_measures(scenario.task), "stability": stability_measures()}
-        self.metrics = nn.ModuleDict(
-            {f"in_{s}_{kind}": collection(m, f"{s}/") for s in ("train", "val") for kind, m in measures.items()}
-        )
-        self.metrics["in_val_twins"] = twin_collection(scenario.task.metric_dims, "val/")  # training separates twins
         self.cells, self.squared_error = scenario.cells(), mean_squared_error(scenario.task.metric_dims)
-        self.mse_of_cells = MeanOfEachCell(len(self.cells))
-        taken = {name.removeprefix("val/") for part in self.metrics.values() for name in part}  # type: ignore[attr-defined]
-        self.own_measures = own_measures(metrics or {}, taken | {f"mse_{cell}" for cell in self.cells})
-        self.metrics["in_val_own"] = collection(self.own_measures, "val/")
-        self.confusion = StandingConfusion() if scenario.statics is not None else None
+        self.own_measures = own_measures(metrics or {}, {f"mse_{cell}" for cell in self.cells})
         self.scenario = scenario
+        self._steps: list[tuple[Prediction, Batch]] = []
 
     def setup(self, stage: str) -> None:
         """Take from the training data where missed objects are predicted, and fit trees."""
@@ -156,11 +140,8 @@ class PredictionModule(L.LightningModule):
         experiments, pair = data.test_experiments[rows][order], pair[order].astype(np.int64)
         clusters = data.test_set.clusters(experiments)
         targets = batch.targets = replace(batch.targets, pair=torch.from_numpy(pair))
-        arrays, task = prediction_arrays(prediction, targets, experiments, clusters), self.scenario.task
-        truth = Truth.from_arrays(
-            arrays, metric_dims=task.metric_dims, by_height=task.by_height, camera=self.scenario.camera
-        )
-        scores = score(Predictions.from_arrays(arrays), truth)
+        arrays = prediction_arrays(prediction, targets, experiments, clusters)
+        truth, scores = self._score(arrays, self.scenario.camera)
         own = {name: measure(prediction, targets).numpy() for name, measure in self.own_measures.items()}
         values = {**scores.values, **own}
         if prediction.confounder_estimate is not None:
@@ -216,7 +197,9 @@ class PredictionModule(L.LightningModule):
             batch = augment(batch, self.augmentations, draw, share)
             batch = add_position_noise(batch, noise, draw, share) if noise else batch
         prediction = self(batch)
-        self._measure("train", prediction, batch)
+        with torch.no_grad():
+            mse = self.squared_error(prediction, batch.targets).mean()
+        self.log("train/mse", mse, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
         loss = self._loss("train", prediction, batch)
         if not loss.requires_grad and any(each.requires_grad for each in self.parameters()):
             raise CophyError(
@@ -225,43 +208,35 @@ class PredictionModule(L.LightningModule):
             )
         return loss
 
-    def on_validation_epoch_start(self) -> None:
-        self.mse_of_cells.reset()
-        self.standing = None
-        if self.confusion is not None:
-            self.confusion.reset()
-
     def validation_step(self, batch: Batch) -> STEP_OUTPUT:
         prediction = self(batch)
         loss = self._loss("val", prediction, batch)
         if not torch.isfinite(loss):
             raise CophyError(f"{type(self.network).__name__} {NOT_FINITE}")
-        self._measure("val", prediction, batch)
-        self.mse_of_cells.update(self.squared_error(prediction, batch.targets), batch.targets.cell)
-        if self.confusion is not None and prediction.stable_logit is not None:
-            self.confusion.update(prediction, batch.targets)
+        self._keep(prediction, batch)
         return loss
 
     def on_validation_epoch_end(self) -> None:
+        prediction, batch = self._gather()
+        targets = batch.targets
+        arrays = prediction_arrays(prediction, targets, np.arange(len(targets)), targets.pair.numpy())
+        _, scores = self._score(arrays)
+        values = scores.means()
+        values |= {name: float(measure(prediction, targets).mean()) for name, measure in self.own_measures.items()}
         if len(self.cells) > 1:
-            errors = zip(self.cells, self.mse_of_cells.compute().tolist(), strict=True)
-            self.log_dict({f"val/mse_{cell}": mse for cell, mse in errors if not math.isnan(mse)}, sync_dist=True)
-        if self.confusion is not None and self.confusion.update_called:
-            self.standing = self.confusion.compute().cpu().numpy()
-
-    def on_test_epoch_start(self) -> None:
-        self._test_steps: list[tuple[Prediction, Batch]] = []
+            mse, cell = scores.mse, arrays["cell"]
+            values |= {f"mse_{name}": mse[cell == i].mean() for i, name in enumerate(self.cells) if i in cell}
+        for name, value in values.items():
+            self.log(f"val/{name}", value, sync_dist=True, prog_bar=name == "mse")
+        if self.scenario.statics is not None and prediction.stable_logit is not None:
+            self.standing = standing_confusion(prediction, targets)
 
     def test_step(self, batch: Batch) -> None:
-        self._test_steps.append((map_tensors(_to_cpu, self(batch)), map_tensors(_to_cpu, batch)))
+        self._keep(self(batch), batch)
 
     def on_test_epoch_end(self) -> None:
-        predictions, batches = zip(*gather_devices(self._test_steps), strict=True)
-        self.tested = (
-            map_tensors(lambda *parts: torch.cat(parts), *predictions),
-            map_tensors(lambda *parts: torch.cat(parts), *batches),
-            np.arange(sum(map(len, batches))),
-        )
+        prediction, batch = self._gather()
+        self.tested = prediction, batch, np.arange(len(batch))
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         return make_optimizer(self, self.training_settings)
@@ -281,19 +256,19 @@ class PredictionModule(L.LightningModule):
             self.log_dict(logged, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True, prog_bar=in_bar)
         return loss
 
-    def _measure(self, split: str, prediction: Prediction, batch: Batch) -> None:
-        kinds = ["position"] if prediction.stable_logit is None else ["position", "stability"]
-        if split == "val":
-            kinds.append("own")
-        if split == "val" and have_twins(batch.targets.pair):
-            kinds.append("twins")
-        for kind in kinds:
-            metrics = self.metrics[f"in_{split}_{kind}"]
-            assert isinstance(metrics, MetricCollection)
-            with torch.no_grad():
-                metrics.update(prediction, batch.targets)
-            for name, metric in metrics.items(keep_base=False):
-                self.log(name, metric, on_step=False, on_epoch=True, prog_bar=name == "val/mse")
+    def _keep(self, prediction: Prediction, batch: Batch) -> None:
+        self._steps.append((map_tensors(_to_cpu, prediction), map_tensors(_to_cpu, batch)))
+
+    def _gather(self) -> tuple[Prediction, Batch]:
+        """Return what the steps of all devices kept, and forget it."""
+        predictions, batches = zip(*gather_devices(self._steps), strict=True)
+        self._steps = []
+        return map_tensors(_joined, *predictions), map_tensors(_joined, *batches)
+
+    def _score(self, arrays: Mapping[str, np.ndarray], camera: Camera | None = None) -> tuple[Truth, Scores]:
+        task = self.scenario.task
+        truth = Truth.from_arrays(arrays, metric_dims=task.metric_dims, by_height=task.by_height, camera=camera)
+        return truth, score(Predictions.from_arrays(arrays), truth)
 
 
 def prediction_arrays(
@@ -324,6 +299,10 @@ def _to_cpu(tensor: Tensor) -> Tensor:
     """Copy to the CPU, at least in single precision: NumPy knows no bfloat16."""
     reduced = tensor.dtype in (torch.bfloat16, torch.float16)
     return tensor.float().cpu() if reduced else tensor.cpu()
+
+
+def _joined(*parts: Tensor) -> Tensor:
+    return torch.cat(parts)
 
 
 def _confounder_heads(network: nn.Module, scenario: Scenario) -> nn.ModuleList:
