@@ -1,10 +1,5 @@
 """Images on disk: lossless, resumable, of the states next to them, and no more than needed."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +13,6 @@ from cophy.dataset.images import Images, bounding_boxes
 from cophy.drawing.sheets import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario.rendering import MODALITIES, NO_OBJECT, Backend, Frames, Renderer
-from tests.conftest import ROOT
 from tests.dataset.copies import IMAGE_SPEC, RENDER, copy_images, digests, empty, images
 from tests.dataset.test_experiment_set import SINGLE, TEST
 
@@ -30,30 +24,6 @@ def test_what_is_stored_is_what_was_drawn(rendered: Images) -> None:
             drawn = render_sequence(renderer, arrays, experiment, sequence, slice(None))
             for name in MODALITIES:
                 np.testing.assert_array_equal(file[name][experiment - 6, sequence], getattr(drawn, name))
-
-
-def start_rendering(data_dir: Path) -> "subprocess.Popen[bytes]":
-    command = [sys.executable, str(ROOT / "src" / "generate.py"), "scenario=collision", "size=tiny", "workers=2"]
-    command += ["size.experiments_per_shard=6", 'size.num_experiments.collision={"2": 12}']
-    command += [f"data_dir={data_dir}", "render=all", f"render.resolution={RENDER.resolution}"]
-    return subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-
-
-@pytest.mark.slow
-def test_ten_kills_at_random_moments_change_no_byte(rendered: Images, tmp_path: Path) -> None:
-    copied, rng = copy_images(rendered, tmp_path), np.random.default_rng(0)
-    empty(copied.directory)
-    for _ in range(10):
-        process = start_rendering(tmp_path)
-        time.sleep(rng.uniform(0.5, 6.0))
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-        for shard in range(IMAGE_SPEC.num_shards):
-            if copied.path(shard).exists() and rng.random() < 0.5:
-                copied.path(shard).unlink()  # so that there is always something left to do
-    generation.make(copied, workers=2)
-    assert digests(copied.directory) == digests(rendered.directory)
-    assert not list(copied.directory.glob("*.tmp"))
 
 
 def test_a_damaged_shard_is_named_and_only_it_is_drawn_again(
