@@ -92,6 +92,12 @@ def test_every_parameter_gets_a_gradient(name: str, batch: Batch) -> None:
     assert [key for key, p in network.named_parameters() if p.grad is None or not p.grad.any()] == []
 
 
+@pytest.mark.parametrize("name", TRAINED)
+def test_double_precision_stays(name: str, batch: Batch) -> None:
+    inputs = map_tensors(lambda t: t.double() if t.is_floating_point() else t, batch.inputs)
+    assert build(name).double()(inputs).position.dtype == torch.float64
+
+
 @pytest.mark.parametrize("name", ["feedforward", "in", "npe", "cophynet_true", "in_true"])
 def test_models_without_ab_ignore_it(name: str, batch: Batch) -> None:
     network, inputs = build(name, **SEES_APPEARANCE), batch.inputs

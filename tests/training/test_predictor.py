@@ -1,9 +1,7 @@
-"""The module of predictors: what a network is given, what it has to return, and training in every precision."""
+"""The module of predictors: what a network is given, what it has to return, and what a training step does with it."""
 
-import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 import lightning as L
@@ -19,7 +17,6 @@ from cophy.models.baselines import CopyC
 from cophy.training.metrics import VALIDATED
 from cophy.training.predictor import PredictionModule
 from cophy.types import Batch, Inputs, Prediction
-from tests.conftest import quick_first
 from tests.models.networks import build
 from tests.training.scored import scored
 
@@ -163,29 +160,3 @@ def test_validation_scores_all_experiments_at_once(has_twins: bool, tower_batch:
     measured = {name.removeprefix("val/"): value for name, value in values.items() if not name.endswith("loss")}
     assert measured == pytest.approx(expected, rel=1e-5)
     assert module.standing.sum() == len(batch)
-
-
-DTYPES = {"32-true": torch.float32, "64-true": torch.float64, "bf16-mixed": torch.float32, "16-mixed": torch.float32}
-
-
-PRECISIONS = [
-    *(("cophynet", precision) for precision in ("bf16-mixed", *(name for name in DTYPES if name != "bf16-mixed"))),
-    *((choice, "64-true") for choice in ("single_step", "mlp", "npe")),
-]
-
-
-@pytest.mark.parametrize("case", quick_first(PRECISIONS), ids="-".join)
-def test_a_network_trains_in_every_precision(case: tuple[str, str], tower_batch: Batch, tmp_path: Path) -> None:
-    choice, precision = case
-    module = module_of(build(choice, **{"num_frames": 30} if choice == "single_step" else {}))
-    before = [parameter.clone() for parameter in module.parameters()]
-    batches = CounterfactualDataset(tower_batch).in_order(16)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "You passed .*16-mixed.*")  # a CPU uses bfloat16 instead
-        warnings.filterwarnings("ignore", ".*does not have many workers.*")
-        trainer = L.Trainer(max_epochs=1, precision=precision, default_root_dir=tmp_path, **QUIET)
-        trainer.fit(module, batches, batches)
-    assert torch.isfinite(trainer.callback_metrics["val/mse"])
-    for parameter, old in zip(module.parameters(), before, strict=True):
-        assert parameter.dtype == DTYPES[precision]
-        assert not torch.equal(parameter, old.to(parameter.dtype))
