@@ -42,12 +42,6 @@ def test_a_sweep_of_runs_on_two_devices_is_refused(tiny_data: Path, tmp_path: Pa
     assert "one command for each run" in train(*sweep, *ON_TWO, data=tiny_data, code=1)
 
 
-@pytest.mark.slow
-def test_a_batch_that_devices_cannot_share_is_refused(tiny_data: Path, tmp_path: Path) -> None:
-    keys = ("scenario=collision", "model=in", "training.batch_size=63", f"hydra.run.dir={tmp_path}")
-    assert "batch_size=63 cannot be shared by 2 devices" in train(*keys, *ON_TWO, data=tiny_data, code=1, apart=True)
-
-
 def test_a_derenderer_is_refused(tiny_data: Path, tmp_path: Path) -> None:
     """Each device would normalise by its own share of a batch."""
     small = ("model.resolution=16", "model.width=2", "model.readout=linear", "num_images=20", "render.resolution=16")

@@ -82,7 +82,7 @@ def test_sigterm_ends_the_simulation_of_an_oracle_at_once(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("keys", [(), ("optimizer=soap",), ON_TWO], ids=["one device", "SOAP", "two devices"])
+@pytest.mark.parametrize("keys", [(), ("optimizer=adam",), ON_TWO], ids=["one device", "Adam", "two devices"])
 def test_a_stopped_training_continues_to_the_result_it_would_have_had(
     tiny_data: Path, tmp_path: Path, keys: tuple[str, ...]
 ) -> None:

@@ -1,6 +1,5 @@
 """The checkpoints of the repository: the current code loads them, and they are better than copy C."""
 
-import re
 from pathlib import Path
 
 import pytest
@@ -13,12 +12,6 @@ from tests.conftest import ROOT, quick_first
 FOLDER = ROOT / "checkpoints"
 KEPT = sorted(FOLDER.glob("*.ckpt"))
 SUPERVISED = [path for path in KEPT if path.stem.endswith("in_sup")]  # the true confounders
-
-
-def test_the_readme_lists_them() -> None:
-    listed = re.findall(r"^\| `(\w+\.ckpt)` \|", (FOLDER / "README.md").read_text(), flags=re.MULTILINE)
-    assert listed
-    assert sorted(listed) == [path.name for path in KEPT]
 
 
 ONE_PER_SCENARIO = [FOLDER / f"{name}_cophynet.ckpt" for name in ("balls_4to4", "blocktower_3to3", "collision_all")]
