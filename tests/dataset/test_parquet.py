@@ -1,4 +1,4 @@
-"""An export as parquet has every value of the dataset, and pandas, `datasets` and mlcroissant read it."""
+"""An export as parquet has every value of the dataset, and pandas reads it."""
 
 import io
 import json
@@ -146,25 +146,6 @@ def test_without_pyarrow_the_extra_is_named(tiny_data: Path, tmp_path: Path, mon
     monkeypatch.setattr(parquet, "find_spec", lambda name: None)
     with pytest.raises(CophyError, match=r"pip install 'cophy\[parquet\]'"):
         export(States(tiny_spec("collision"), tiny_data), None, tmp_path)
-
-
-def test_datasets_reads_it_with_names_and_shapes(root: Path, tmp_path: Path) -> None:
-    """Runs where `datasets` is installed, which is no dependency."""
-    datasets = pytest.importorskip("datasets")
-    data = datasets.load_dataset(str(root), "collision-2", cache_dir=str(tmp_path))
-    assert {split: len(data[split]) for split in SPLIT_NAMES} == {"train": 34, "validation": 10, "test": 4}
-    assert data["test"].features["do_operation"].names == ["displace_moving", "displace_static"]
-    assert data["test"].with_format("numpy")[:]["states"].reshape(-1, 2, 60, 4, 13).shape[0] == 4
-
-
-def test_mlcroissant_reads_every_record(root: Path) -> None:
-    """Runs where mlcroissant is installed, which is no dependency."""
-    mlcroissant = pytest.importorskip("mlcroissant")
-    metadata = mlcroissant.Dataset(jsonld=root / "croissant.json")
-    assert not metadata.metadata.ctx.issues.errors
-    for name, count in SCENARIOS.items():
-        records = list(metadata.records(f"{name}-{count}"))
-        assert sorted(record[f"{name}-{count}/id"] for record in records) == list(range(48))
 
 
 def test_the_metadata_describe_every_array_and_file(root: Path) -> None:
