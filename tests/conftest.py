@@ -80,6 +80,15 @@ def once_per_session(tmp_path_factory: pytest.TempPathFactory, name: str, make: 
     return directory
 
 
+def raising(number: int, *file: str) -> Callable[..., Any]:
+    """Return a function that raises the OSError of this number."""
+
+    def raise_error(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number), *file)
+
+    return raise_error
+
+
 class ThisProcess:
     """An executor that runs everything at once in this process."""
 

@@ -2,7 +2,6 @@
 
 import errno
 import fcntl
-import os
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 
 from cophy.errors import CophyError
 from cophy.locks import NoLocksError, locked
+from tests.conftest import raising
 
 
 def test_one_process_at_a_time_holds_a_lock(tmp_path: Path) -> None:
@@ -25,10 +25,7 @@ def test_one_process_at_a_time_holds_a_lock(tmp_path: Path) -> None:
 def test_a_file_system_without_locks_is_named_with_the_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    def refuse(*args: object) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
+    monkeypatch.setattr(fcntl, "flock", raising(number))
     match = r"\.lock: the file system at /\S* cannot lock files \(.*\): choose a folder on another one with root="
     with pytest.raises(NoLocksError, match=match), locked(tmp_path / ".lock", elsewhere="root="):
         pass

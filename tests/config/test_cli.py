@@ -14,7 +14,7 @@ import pytest
 
 from cophy.cli import LogFile, explain, is_user_error, print_error_of_thread
 from tests.commands import run
-from tests.conftest import ROOT
+from tests.conftest import ROOT, raising
 
 REFUSED = [  # override, and what the error must contain; values that are refused in composing: see test_config.py
     ("model.hidden_dim=10000000000", "model: not enough memory"),
@@ -88,11 +88,8 @@ def test_messages_of_logs_are_printable(caplog: pytest.LogCaptureFixture) -> Non
 
 
 def test_a_full_disk_does_not_disturb_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def refuse(text: str) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     handler = LogFile(str(tmp_path / "run.log"))
-    handler.stream = SimpleNamespace(write=refuse)  # type: ignore[assignment]
+    handler.stream = SimpleNamespace(write=raising(errno.ENOSPC))  # type: ignore[assignment]
     handler.handle(logging.makeLogRecord({"msg": "lost"}))
     assert capsys.readouterr().err == ""
 

@@ -22,7 +22,7 @@ from cophy.errors import CophyError
 from cophy.scenario.rendering import Backend, RenderSettings
 from cophy.workers import worker_pool
 from tests.commands import run, run_apart
-from tests.conftest import ROOT, SCENARIOS, settings, tiny_spec
+from tests.conftest import ROOT, SCENARIOS, raising, settings, tiny_spec
 from tests.dataset.copies import SPEC, copy, digests, generate
 
 
@@ -69,10 +69,7 @@ def test_intact_shards_are_not_replaced_where_they_cannot_be_read(
     directory = copy(finished, tmp_path)
     (directory / MANIFEST).unlink()  # so that shards are opened, not only hashed
 
-    def refuse(*args: object) -> None:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    monkeypatch.setattr(os, "pread", refuse)
+    monkeypatch.setattr(os, "pread", raising(errno.EIO))
     before = {path.name: path.stat().st_mtime_ns for path in directory.glob("shard-*")}
     with pytest.raises(OSError, match=r"Input/output error: .*shard-00000\.h5"):
         generate(tmp_path)
@@ -82,13 +79,10 @@ def test_intact_shards_are_not_replaced_where_they_cannot_be_read(
 def test_shards_without_permission_to_read_are_not_damaged(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(path: Path) -> str:
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-
     directory = copy(finished, tmp_path)
     before = {path.name: path.stat().st_ino for path in directory.glob("shard-*")}
     with monkeypatch.context() as patched:
-        patched.setattr("cophy.dataset.shards.sha256", refuse)
+        patched.setattr("cophy.dataset.shards.sha256", raising(errno.EACCES, "shard-00000.h5"))
         with pytest.raises(PermissionError, match="shard-00000"):
             generate(tmp_path)
         with pytest.raises(PermissionError, match="shard-00000"):
@@ -101,10 +95,7 @@ def test_shards_without_permission_to_read_are_not_damaged(
 def test_a_dataset_is_generated_on_a_file_system_without_locks(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    def refuse(*args: object) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
+    monkeypatch.setattr(fcntl, "flock", raising(number))
     directory = copy(finished, tmp_path)
     (directory / MANIFEST).unlink()
     generate(tmp_path)
@@ -168,12 +159,9 @@ def test_the_temporary_file_of_another_process_is_kept(finished: Path, tmp_path:
 def test_finished_data_that_cannot_be_written_to_are_only_checked(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog, whole: bool
 ) -> None:
-    def refused(path: Path, **options: object) -> None:
-        raise OSError(errno.EROFS, "Read-only file system", str(path))
-
     caplog.set_level("INFO")
     directory = copy(finished, tmp_path)
-    monkeypatch.setattr(generation, "locked", refused)
+    monkeypatch.setattr(generation, "locked", raising(errno.EROFS))
     if whole:
         generate(tmp_path)
         assert "all 48 experiments in 2 shards" in caplog.text

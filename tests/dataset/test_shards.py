@@ -17,6 +17,7 @@ from cophy.atomic_files import sha256
 from cophy.dataset.shards import MANIFEST, DamagedShardError, Field, create_file, encode, open_file, open_for_reading
 from cophy.dataset.states import States
 from cophy.errors import CophyError
+from tests.conftest import raising
 from tests.dataset.copies import SPEC, copy
 
 FIELDS = {"mass": Field((2, 4), "<f4"), "cell": Field((2,), "|u1")}
@@ -85,12 +86,9 @@ def with_unknown_attribute(file: h5py.File) -> None:
 
 
 def test_an_error_of_the_operating_system_is_not_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*args: object, **kwargs: object) -> None:
-        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
-
     path = tmp_path / "shard.h5"
     path.write_bytes(encode(ARRAYS, FIELDS, {}))
-    monkeypatch.setattr(h5py, "File", fail)
+    monkeypatch.setattr(h5py, "File", raising(errno.EACCES))
     with pytest.raises(OSError, match=os.strerror(errno.EACCES)), open_file(path, FIELDS, {}):
         pass
 
@@ -111,13 +109,10 @@ def test_files_are_written_and_read_without_locks(tmp_path: Path, monkeypatch: p
 
 
 def test_an_error_while_reading_is_not_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*args: object) -> None:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
     path = tmp_path / "shard.h5"
     path.write_bytes(encode(ARRAYS, FIELDS, {}))
     with open_file(path, FIELDS, {}) as stored, monkeypatch.context() as patched:
-        patched.setattr(os, "pread", fail)
+        patched.setattr(os, "pread", raising(errno.EIO))
         with pytest.raises(OSError, match=r"Input/output error: .*shard\.h5"):
             stored["mass"][()]
 

@@ -14,6 +14,7 @@ from PIL import Image
 from cophy.drawing import files
 from cophy.drawing.files import read_frames, write_image
 from cophy.errors import CophyError
+from tests.conftest import raising
 from tests.released.trees import clip
 
 
@@ -140,10 +141,7 @@ def test_a_failed_write_keeps_the_older_image(tmp_path: Path, monkeypatch: pytes
     write_image(path, np.zeros((4, 4, 3), np.uint8))
     before = path.read_bytes()
 
-    def full(descriptor: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr(os, "fsync", raising(errno.ENOSPC))
     with pytest.raises(OSError, match="No space left") as caught:
         write_image(path, np.ones((4, 4, 3), np.uint8))
     assert caught.value.filename == str(path)

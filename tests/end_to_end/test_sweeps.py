@@ -10,7 +10,7 @@ import pytest
 
 from cophy.dataset.states import States
 from tests.commands import train
-from tests.conftest import tiny_spec
+from tests.conftest import raising, tiny_spec
 
 ROWS = ("-m", "scenario=collision", "hydra/launcher=local", "hydra.launcher.n_jobs=2")
 
@@ -54,10 +54,7 @@ def test_a_disk_that_is_full_before_a_run_begins_is_named(
 ) -> None:
     """Hydra writes a run's configuration first, and its error names no file."""
 
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("hydra.core.utils._save_config", full)
+    monkeypatch.setattr("hydra.core.utils._save_config", raising(errno.ENOSPC))
     sweep = ("-m", "scenario=collision", "+row=copy_b", "seed=0,1", f"hydra.sweep.dir={tmp_path}")
     printed = train(*sweep, data=tiny_data, code=1)
     assert "No space left on device" in printed

@@ -1,7 +1,6 @@
 """Exports have the released format, file by file, and read back unchanged."""
 
 import errno
-import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -20,7 +19,7 @@ from cophy.released.export import export
 from cophy.released.states import ReleasedSource
 from cophy.scenario.rendering import NO_OBJECT, Backend, Frames, RenderSettings
 from cophy.untrusted_files import count_frames
-from tests.conftest import SCENARIOS, settings, tiny_spec
+from tests.conftest import SCENARIOS, raising, settings, tiny_spec
 from tests.released.indexing import make
 
 PX = 32
@@ -205,10 +204,7 @@ def test_an_export_resumes(collisions: States, tmp_path: Path) -> None:
 def test_a_failed_export_leaves_no_partial_folder(
     collisions: States, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(file: Path, array: np.ndarray) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(file))
-
-    monkeypatch.setattr(np, "save", full)
+    monkeypatch.setattr(np, "save", raising(errno.ENOSPC))
     with pytest.raises(OSError, match="No space left"):
         export(collisions, None, tmp_path)
     assert not list(tmp_path.rglob("*.tmp"))

@@ -25,6 +25,7 @@ from cophy.training.run import (
     write_predictions,
 )
 from cophy.types import Batch, Prediction
+from tests.conftest import raising
 from tests.report.stored_runs import leave
 
 
@@ -47,10 +48,7 @@ def test_only_one_process_makes_a_run(run: Run) -> None:
 
 
 def test_a_run_on_a_file_system_without_locks_names_the_remedy(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*args: object) -> None:
-        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
+    monkeypatch.setattr(fcntl, "flock", raising(errno.ENOLCK))
     with pytest.raises(CophyError, match=r"cannot lock files .* source\.outputs="), run.locked():
         raise AssertionError("it is not locked")
 
@@ -177,10 +175,7 @@ def test_a_pipe_is_no_file_of_predictions(tmp_path: Path) -> None:
 
 
 def test_predictions_that_may_not_be_read_are_not_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(path: Path, *args: object) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied", str(path))
-
-    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(Path, "open", raising(errno.EACCES))
     with pytest.raises(PermissionError):
         read_predictions(tmp_path)
 
