@@ -6,7 +6,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from cophy.errors import CophyError
 from cophy.models.alongside import IMPULSE_LOGIT_OFFSET, MAX_HEIGHT_M, STEP_DIMS, Contact, Contacts, EgoFeatures
 from cophy.models.layers import Appearance
 from cophy.types import Inputs
@@ -93,21 +92,6 @@ def test_heights_are_clipped() -> None:
     position = torch.stack([torch.zeros(3), torch.ones(3), heights], dim=-1)[None]
     features = ego.compute(position, torch.zeros_like(position), torch.tensor(1.0), inputs)
     torch.testing.assert_close(features[0, :, 0], torch.tensor([0.5, MAX_HEIGHT_M, MAX_HEIGHT_M]))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"edge_layers": 0}, "model.edge_layers=0 must be at least 2"),
-        ({"hidden_dim": 0}, "model.hidden_dim=0 must be at least 1"),
-        ({"temperature": 0.0}, r"model.temperature=0\.0 must be positive"),
-        ({"max_step": -1.0}, r"model.max_step=-1\.0 must be positive"),
-        ({"arena_half_width": 0.0}, r"model.arena_half_width=0\.0 must be positive"),
-    ],
-)
-def test_arguments_out_of_range_are_refused(arguments: dict, message: str) -> None:
-    with pytest.raises(CophyError, match=message):
-        build("alongside", **arguments)
 
 
 def longest_step(position: torch.Tensor, inputs: Inputs) -> float:

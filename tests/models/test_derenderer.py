@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from cophy.errors import CophyError
 from cophy.models import Derenderer
 
 
@@ -71,18 +70,3 @@ def test_one_batch_overfits(readout: str) -> None:
         loss.backward()
         optimizer.step()
     assert loss.item() < 0.002  # 0.08 for a constant prediction
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"resolution": 30}, "model.resolution=30 must be a multiple of 4"),
-        ({"resolution": 4}, "model.resolution=4 must be a multiple of 4 and at least 8"),
-        ({"width": 0}, "model.width=0 must be at least 1"),
-        ({"readout": "pooling"}, "model.readout=pooling must be one of attention, linear"),
-        ({"slots": []}, "model.slots is empty"),
-    ],
-)
-def test_arguments_out_of_range_are_refused(arguments: dict, message: str) -> None:
-    with pytest.raises(CophyError, match=message):
-        Derenderer(**{"slots": ["red"], "resolution": 32, "width": 4, "readout": "linear"} | arguments)

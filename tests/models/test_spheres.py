@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from cophy.errors import CophyError
 from cophy.models import FittedSpheres
 from cophy.models.spheres import ROLL, Arena, Spheres, at_start
 from cophy.types import Inputs
@@ -136,18 +135,3 @@ def test_a_removed_ball_touches_nothing_and_one_missed_in_ab_stays() -> None:
     torch.testing.assert_close(missed[:, :, 1], inputs.initial[:, None, 1].expand_as(missed[:, :, 1]))
     nothing = torch.zeros_like(gone)
     assert model(replace(inputs, presence=nothing, observed_presence=nothing)).position.shape == (1, STEPS, 4, 3)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"diameter": None}, "use scenario=balls"),
-        ({"arena_half_width": None}, "use scenario=balls"),
-        ({"restitution": [0.0, 1.0]}, "use confounders=text"),
-        ({"draws": 0}, "model.draws=0 must be at least 1"),
-        ({"error": 0.0}, r"model.error=0\.0 must be positive"),
-    ],
-)
-def test_other_scenarios_and_arguments_out_of_range_are_refused(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(CophyError, match=message):
-        FittedSpheres(**ARGUMENTS | arguments)

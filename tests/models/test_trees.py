@@ -10,7 +10,6 @@ from torch import Tensor
 
 from cophy.dataset.features import confounder_features, confounder_statistics, to_batch
 from cophy.dataset.spec import DatasetSpec
-from cophy.errors import CophyError
 from cophy.models import CopyB, Trees
 from cophy.models.trees import canonical, statics_features
 from cophy.scenario import Collision, Scenario
@@ -130,17 +129,3 @@ def test_true_confounders_are_needed_only_where_they_are_enabled(tiny_batch: Tin
     assert fitted(tiny_batch)(inputs).position.isfinite().all()
     with pytest.raises(ValueError, match="true confounders are not among the inputs"):
         fitted(tiny_batch, **TRUE)(inputs)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"num_trees": 0}, "model.num_trees=0 must be at least 1"),
-        ({"min_samples_leaf": 0}, "model.min_samples_leaf=0 must be at least 1"),
-        ({"confounders": "estimated"}, "model.confounders=estimated must be one of ground_truth"),
-        ({"confounders": "without_pose"}, "model.confounders=without_pose: statics needs the yaw"),
-    ],
-)
-def test_arguments_out_of_range_are_refused(arguments: dict, message: str) -> None:
-    with pytest.raises(CophyError, match=message):
-        Trees(**{"num_trees": 1, "min_samples_leaf": 1} | arguments)
