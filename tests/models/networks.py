@@ -1,6 +1,6 @@
 """Small networks of every kind, and random experiments as their input."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import torch
@@ -130,6 +130,15 @@ def permute_slots(inputs: Inputs, order: list[int]) -> Inputs:
     return Inputs(
         **{name: t if t is None else t.index_select(SLOT_AXIS.get(name, 1), index) for name, t in tensors.items()}
     )
+
+
+def with_noise_where_absent(inputs: Inputs) -> Inputs:
+    """Return the same experiments with random values wherever an object is absent."""
+    in_ab = (~inputs.observed_presence)[..., None]
+    absent = {"observed": in_ab[:, None], "initial": ~inputs.presence[..., None]}
+    absent |= dict.fromkeys(("confounders", "object_type", "pose"), in_ab)
+    tensors = {name: getattr(inputs, name) for name in absent if getattr(inputs, name) is not None}
+    return replace(inputs, **{name: torch.where(absent[name], torch.randn_like(t), t) for name, t in tensors.items()})
 
 
 def present_positions(prediction: Prediction, inputs: Inputs) -> Tensor:

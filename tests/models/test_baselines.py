@@ -7,7 +7,7 @@ import torch
 
 from cophy.models import CopyB, CopyC, DisplacedCopyB, Replay
 from cophy.types import Inputs
-from tests.models.networks import build, permute_slots, present_positions, random_batch
+from tests.models.networks import build, permute_slots, present_positions, random_batch, with_noise_where_absent
 
 REPLAY = {"diameter": 1.0, "kept_speed": 1.0, "shrinkage": 0.2}
 SPEED = 0.5  # metres per frame
@@ -107,12 +107,7 @@ def test_replay_does_not_depend_on_the_slots_or_on_what_is_absent() -> None:
     expected, order = Replay(**REPLAY)(inputs), [2, 0, 3, 1]
     permuted = permute_slots(inputs, order)
     torch.testing.assert_close(Replay(**REPLAY)(permuted).position, expected.position[:, :, order])
-    absent = ~inputs.presence
-    noisy = replace(
-        inputs,
-        observed=torch.where(absent[:, None, :, None], torch.randn_like(inputs.observed), inputs.observed),
-        initial=torch.where(absent[..., None], torch.randn_like(inputs.initial), inputs.initial),
-    )
+    noisy = with_noise_where_absent(inputs)
     torch.testing.assert_close(present_positions(Replay(**REPLAY)(noisy), inputs), present_positions(expected, inputs))
 
 

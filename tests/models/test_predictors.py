@@ -17,6 +17,7 @@ from tests.models.networks import (
     permute_slots,
     present_positions,
     random_batch,
+    with_noise_where_absent,
 )
 
 READ_AB = (
@@ -57,19 +58,8 @@ def test_an_mlp_over_slots_is_not_equivariant(batch: Batch) -> None:
 
 @pytest.mark.parametrize("name", [*TRAINED, "copy_b", "copy_b_displaced", "copy_c"])
 def test_absent_objects_change_nothing(name: str, batch: Batch) -> None:
-    inputs = batch.inputs
-    network = build(name, **SEES_APPEARANCE)
-    noise = map_tensors(lambda t: torch.randn(t.shape) if t.is_floating_point() else t, inputs)
-    absent_ab, absent_cd = ~inputs.observed_presence, ~inputs.presence
-    noisy = replace(
-        inputs,
-        observed=torch.where(absent_ab[:, None, :, None], noise.observed, inputs.observed),
-        initial=torch.where(absent_cd[..., None], noise.initial, inputs.initial),
-        confounders=torch.where(absent_ab[..., None], noise.confounders, inputs.confounders),
-        object_type=torch.where(absent_ab[..., None], noise.object_type, inputs.object_type),
-        pose=torch.where(absent_ab[..., None], noise.pose, inputs.pose),
-    )
-    expected = present_positions(network(inputs), inputs)
+    network, inputs = build(name, **SEES_APPEARANCE), batch.inputs
+    noisy, expected = with_noise_where_absent(inputs), present_positions(network(inputs), inputs)
     torch.testing.assert_close(present_positions(network(noisy), inputs), expected, atol=1e-5, rtol=1e-4)
 
 

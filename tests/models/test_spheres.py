@@ -10,6 +10,7 @@ from torch import Tensor
 from cophy.models import FittedSpheres
 from cophy.models.spheres import ROLL, Arena, Spheres, at_start
 from cophy.types import Inputs
+from tests.models.networks import with_noise_where_absent
 
 ARGUMENTS: dict[str, Any] = {
     **{"diameter": 1.0, "arena_half_width": 4.0, "gravity_z": -10.0, "frame_rate_hz": 5.0, "mass": [1.0, 10.0]},
@@ -113,13 +114,7 @@ def test_a_prediction_depends_on_nothing_else() -> None:
     inputs, _ = experiment([1.0, 10.0, 1.0], [0.5, 1.0, 0.5])
     model = FittedSpheres(**ARGUMENTS)
     expected = model(inputs).position
-    noise = torch.randn(inputs.observed.shape)
-    absent = ~inputs.presence
-    noisy = replace(
-        inputs,
-        observed=torch.where(absent[:, None, :, None], noise, inputs.observed),
-        initial=torch.where(absent[..., None], noise[:, 0], inputs.initial),
-    )
+    noisy = with_noise_where_absent(inputs)
     torch.testing.assert_close(model(noisy).position[:, :, :3], expected[:, :, :3], rtol=0, atol=0)
     pair = {name: torch.cat([value, value.flip(0)]) for name, value in vars(inputs).items() if value is not None}
     torch.testing.assert_close(model(Inputs(**pair)).position[1:], expected, rtol=0, atol=0)

@@ -17,7 +17,7 @@ from cophy.scenario.scenario import disc_symmetries
 from cophy.training.augmentation import transform
 from cophy.training.metrics import mean_squared_error
 from cophy.types import Batch, Inputs, take
-from tests.models.networks import permute_slots, present_positions
+from tests.models.networks import permute_slots, present_positions, with_noise_where_absent
 
 TRUE = {"confounders": "ground_truth"}
 SEED = 0
@@ -87,14 +87,7 @@ def test_permuting_objects_permutes_the_prediction(tiny_batch: TinyBatch, argume
 @pytest.mark.parametrize("arguments", [{}, TRUE])
 def test_absent_objects_change_nothing(tiny_batch: TinyBatch, arguments: dict) -> None:
     inputs, trees = tiny_batch[0].inputs, fitted(tiny_batch, **arguments)
-    assert inputs.confounders is not None
-    absent = ~inputs.observed_presence
-    noisy = replace(
-        inputs,
-        observed=torch.where(absent[:, None, :, None], 3.0, inputs.observed),
-        initial=torch.where(~inputs.presence[..., None], 3.0, inputs.initial),
-        confounders=torch.where(absent[..., None], 3.0, inputs.confounders),
-    )
+    noisy = with_noise_where_absent(inputs)
     expected = present_positions(trees(inputs), inputs)
     torch.testing.assert_close(present_positions(trees(noisy), inputs), expected)
 
