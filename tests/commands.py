@@ -2,12 +2,13 @@
 
 import io
 import logging
+import os
 import runpy
 import subprocess
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -47,10 +48,23 @@ def ending(script: str, *arguments: object) -> tuple[int, str]:
 
 def run_apart(script: str, *arguments: object, code: int = 0) -> str:
     """Run a command in a process of its own, where that is what is tested."""
-    command = [sys.executable, str(ROOT / "src" / f"{script}.py"), *map(str, arguments)]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert result.returncode == code, result.stderr[-3000:]
-    return result.stdout + result.stderr
+    done = python(ROOT / "src" / f"{script}.py", *arguments, code=code)
+    return done.stdout + done.stderr
+
+
+def python(
+    *words: object, code: int = 0, env: Mapping[str, str] | None = None, **others: Any
+) -> "subprocess.CompletedProcess[str]":
+    """Run Python in a process of its own; its exit code has to be `code`.
+
+    Args:
+        env: More environment variables.
+        others: `cwd` and `input`, as `subprocess.run` has them.
+    """
+    command, variables = [sys.executable, *map(str, words)], {**os.environ, **(env or {})}
+    done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=600, check=False, **others)
+    assert done.returncode == code, (done.stdout + done.stderr)[-3000:]
+    return done
 
 
 def train(*arguments: object, data: Path, code: int = 0, apart: bool = False) -> str:

@@ -2,13 +2,12 @@
 
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from cophy.atomic_files import ABANDONED_S, MACHINE, appearing_whole, is_abandoned
+from tests.commands import python
 
 
 def test_a_temporary_file_is_abandoned_when_its_process_has_ended(tmp_path: Path) -> None:
@@ -17,7 +16,7 @@ def test_a_temporary_file_is_abandoned_when_its_process_has_ended(tmp_path: Path
         assert not is_abandoned(temporary)
     killed = "from pathlib import Path; import os, sys; from cophy.atomic_files import appearing_whole\n"
     killed += "with appearing_whole(Path(sys.argv[1])) as path: path.write_bytes(b'half'); os._exit(9)"
-    assert subprocess.run([sys.executable, "-c", killed, str(tmp_path / "shard.h5")], check=False).returncode == 9
+    python("-c", killed, tmp_path / "shard.h5", code=9)
     (temporary,) = tmp_path.glob("shard.h5.*.tmp")
     assert is_abandoned(temporary)
     shutil.copy(temporary, tmp_path / f"{temporary.name}-wal")

@@ -79,9 +79,7 @@ def test_the_default_training_needs_no_pybullet(
 
 
 def test_the_package_lists_its_commands() -> None:
-    result = subprocess.run(
-        [sys.executable, "-m", "cophy"], cwd=ROOT / "src", capture_output=True, text=True, check=True
-    )
+    result = commands.python("-m", "cophy", cwd=ROOT / "src")
     lines = dict(line.split(maxsplit=1) for line in result.stdout.partition("\n\n")[0].splitlines())
     assert sorted(lines) == sorted(COMMANDS)
     assert not [text for text in lines.values() if "python" in text or not text[0].isupper()]

@@ -3,8 +3,6 @@
 import os
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -13,6 +11,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, Override
 
 from cophy.report.paper_tables import methods, paper_tables
+from tests.commands import python
 from tests.conftest import ROOT, cached_settings
 from tests.test_docs import PAGES, pages
 
@@ -42,15 +41,10 @@ def choices(override: Override) -> list[str]:
     return list(override.sweep_string_iterator())
 
 
-def run(directory: Path, *words: str) -> str:
+def run(directory: Path, *words: object) -> str:
     """A Python program in a directory, with this checkout's package; its output."""
     path = os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH")]))
-    environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run(
-        [sys.executable, *words], cwd=directory, env=environment, capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return python(*words, cwd=directory, env={"PYTHONPATH": path}).stdout
 
 
 def test_the_training_guide_names_every_choice() -> None:
@@ -107,7 +101,7 @@ def test_the_first_steps_run(tiny_data: Path, tmp_path: Path) -> None:
     for script, words in steps:
         tiny = {"report": [], "look": [f"data_dir={tmp_path}"]}.get(script, ["size=tiny", f"data_dir={tiny_data}"])
         quick = {"train": ["trainer.max_epochs=1"], "look": ["render.resolution=112"]}.get(script, [])
-        run(tmp_path, str(ROOT / "src" / f"{script}.py"), *shlex.split(words, comments=True), *tiny, *quick)
+        run(tmp_path, ROOT / "src" / f"{script}.py", *shlex.split(words, comments=True), *tiny, *quick)
     assert (tmp_path / "outputs" / "look" / "collision" / "strip.png").exists()
     assert len(list((tmp_path / "outputs").glob("collision/all/**/metrics.json"))) == 3
     assert "CoPhyNet" in (tmp_path / "outputs" / "report" / "tables.md").read_text()

@@ -1,7 +1,5 @@
 """Scores of predictions against values worked out by hand."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +11,7 @@ from cophy.bootstrap import Ratio
 from cophy.errors import CophyError
 from cophy.scenario import Camera
 from cophy.scoring import Predictions, Scores, Truth, average, compare, have_same_experiments, score, twins_of
+from tests.commands import python
 from tests.conftest import refused
 
 # 10 m away, 90 degrees: one metre at the target's depth is 22.4 of 448 pixels
@@ -271,6 +270,5 @@ def test_a_pair_has_two_experiments_at_most() -> None:
 def test_scoring_needs_numpy_alone() -> None:
     """`cophy.score` is public, and imports no torch."""
     code = "import sys, cophy; cophy.score; print(*{'torch', 'lightning', 'hydra', 'omegaconf', 'pybullet'} & set(sys.modules))"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.split() == []
+    assert python("-c", code).stdout.split() == []
     assert cophy.score is score

@@ -2,7 +2,6 @@
 
 import multiprocessing
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 
 from cophy.errors import CophyError
 from cophy.workers import worker_pool
+from tests.commands import python
 
 
 def test_after_an_error_the_workers_end_and_other_processes_stay() -> None:
@@ -49,14 +49,5 @@ def test_workers_do_not_run_the_main_module_again(way: str, tmp_path: Path) -> N
     """A script needs no guard, and standard input, which no process can import, works."""
     (tmp_path / "script.py").write_text(SCRIPT)
     words = {"script": ["script.py"], "-c": ["-c", SCRIPT], "standard input": ["-"], "module": ["-m", "script"]}[way]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(
-        [sys.executable, *words],
-        cwd=tmp_path,
-        env=environment,
-        input=SCRIPT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.stdout == "begins __main__\n[1, 2]\n", done.stderr
+    done = python(*words, cwd=tmp_path, env={"PYTHONPATH": os.pathsep.join(sys.path)}, input=SCRIPT)
+    assert done.stdout == "begins __main__\n[1, 2]\n"

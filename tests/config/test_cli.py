@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 from cophy.cli import LogFile, explain, is_user_error, print_error_of_thread
-from tests.commands import run
+from tests.commands import python, run
 from tests.conftest import ROOT, raising
 
 REFUSED = [  # override, and what the error must contain; values that are refused in composing: see test_config.py
@@ -105,9 +105,8 @@ def test_an_error_of_tensorboards_thread_is_left_to_the_run(
 
 
 def test_output_replaces_what_a_terminal_cannot_show() -> None:
-    command = [sys.executable, "-c", "import cophy.cli; print('3 \u2192 4 m\u00b2')"]
-    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    result = subprocess.run(command, env=environment, capture_output=True, text=True)
+    program = "import cophy.cli; print('3 \u2192 4 m\u00b2')"
+    result = python("-c", program, env={"PYTHONIOENCODING": "ascii"})
     assert (result.stdout, result.stderr) == ("3 ? 4 m?\n", "")
 
 
@@ -129,7 +128,7 @@ def test_a_split_of_another_scenario_is_refused_before_slow_imports() -> None:
         "try: runpy.run_path('src/train.py', run_name='__main__')\n"
         "finally: print({'lightning', 'pandas', 'matplotlib'} & sys.modules.keys())\n"
     )
-    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    result = python("-c", code, cwd=ROOT, code=1)
     assert "split=all does not go with balls" in result.stderr
     assert result.stdout.strip() == "set()"
 

@@ -1,8 +1,6 @@
 """`--help` fits a screen and shows the comments of the YAML."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -73,6 +71,4 @@ def test_help_does_not_wait_for_torch() -> None:
         "runpy.run_path('src/train.py', run_name='__main__')\n"
         "assert not {'torch', 'lightning'} & sys.modules.keys()\n"
     )
-    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
-    assert "Keys:" in result.stdout
+    assert "Keys:" in commands.python("-c", code, cwd=ROOT).stdout

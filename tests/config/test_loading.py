@@ -2,8 +2,6 @@
 
 import os
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
@@ -17,6 +15,7 @@ import cophy
 from cophy.dataset.splits import SPLITS
 from cophy.dataset.states import States
 from cophy.errors import CophyError
+from tests.commands import python
 from tests.conftest import SCENARIOS, tiny_spec
 from tests.released.indexing import LISTS
 from tests.released.trees import CoPhyTree
@@ -125,9 +124,8 @@ def test_a_hydra_program_of_somebody_else_loads_data_and_continues(tiny_data: Pa
     """Its configuration has the name of one of ours."""
     (tmp_path / "train.yaml").write_text("data: here")
     (tmp_path / "program.py").write_text(PROGRAM)
-    command = [sys.executable, str(tmp_path / "program.py"), f"data={tiny_data}", f"hydra.run.dir={tmp_path / 'run'}"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.stdout.split()[-2:] == ["34", "True"], done.stderr[-2000:]
+    done = python(tmp_path / "program.py", f"data={tiny_data}", f"hydra.run.dir={tmp_path / 'run'}")
+    assert done.stdout.split()[-2:] == ["34", "True"]
     with hydra.initialize_config_dir(str(tmp_path), version_base="1.3"):
         cophy.load("balls", size="tiny", data_dir=tiny_data)
         assert hydra.compose("train").data == "here"
@@ -141,16 +139,8 @@ def test_a_resolution_of_released_clips_is_refused(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_program_on_standard_input_generates_data(tmp_path: Path) -> None:
     code = 'import cophy\nprint(len(cophy.load("collision", size="tiny")))\n'
-    done = subprocess.run(
-        [sys.executable, "-"],
-        cwd=tmp_path,
-        env={**os.environ, "COPHY_DATA": "here"},
-        input=code,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.stdout == "34\n", done.stderr[-2000:]
+    done = python("-", cwd=tmp_path, env={"COPHY_DATA": "here"}, input=code)
+    assert done.stdout == "34\n"
     assert [path.name for path in tmp_path.iterdir()] == ["here"]
 
 

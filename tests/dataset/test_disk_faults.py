@@ -1,11 +1,11 @@
 """A disk that refuses writes while HDF5 has a file open: an error with its number, and the process lives on."""
 
 import errno
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.commands import python
 
 SCRIPT = """
 import resource, signal, sys
@@ -28,7 +28,6 @@ except OSError as error:
 @pytest.mark.parametrize("limit", [100, 3000, 60_000, 390_000])
 def test_an_error_while_hdf5_writes_ends_nothing_else(limit: int, tmp_path: Path) -> None:
     path = tmp_path / "shard.h5"
-    result = subprocess.run([sys.executable, "-c", SCRIPT, str(path), str(limit)], capture_output=True, text=True)
-    assert (result.returncode, result.stderr) == (0, "")
-    assert result.stdout == f"{errno.EFBIG} File too large {path}\n"
+    done = python("-c", SCRIPT, path, limit)
+    assert (done.stdout, done.stderr) == (f"{errno.EFBIG} File too large {path}\n", "")
     assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,5 @@
 """Simulation: Bullet against closed forms, byte-equal repetitions, and the cache."""
 
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -13,6 +12,7 @@ from cophy.scenario import Body, Clock, Scene, Shape, Simulator, Solver, Traject
 from cophy.scenario import simulator as simulator_module
 from cophy.scenario.physics import make_floor, make_walls
 from cophy.scenario.simulator import CachingSimulator
+from tests.commands import python
 
 CLOCK = Clock(num_frames=30, frame_rate_hz=5, state_rate_hz=20)
 IMPACTS = Solver(step_rate_hz=240, iterations=50, elastic_impacts=True)  # as balls and collision
@@ -168,7 +168,7 @@ def test_pybullet_is_imported_without_its_banner() -> None:
     code = (
         "import sys; from cophy.scenario.simulator import import_pybullet as f; f(); f(); print('!', file=sys.stderr)"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = python("-c", code)
     assert (found.stdout, found.stderr) == ("", "!\n")
 
 
