@@ -89,6 +89,16 @@ def raising(number: int, *file: str) -> Callable[..., Any]:
     return raise_error
 
 
+class RunsCode:
+    """Creates a folder when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return os.mkdir, (str(self.path),)
+
+
 class ThisProcess:
     """An executor that runs everything at once in this process."""
 

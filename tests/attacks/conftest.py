@@ -15,9 +15,8 @@ from typing import Any
 
 import pytest
 
-from cophy.locks import locked
 from tests.commands import run
-from tests.conftest import ROOT
+from tests.conftest import ROOT, once_per_session
 
 DURATIONS = {
     "training_seconds",
@@ -87,19 +86,17 @@ STEPS = (
 @pytest.fixture(scope="session")
 def worlds(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """The world before each step, and after the last; parallel test processes share these folders, so copy them."""
-    session = tmp_path_factory.getbasetemp()
-    directory = (session.parent if "PYTEST_XDIST_WORKER" in os.environ else session) / "worlds"
-    directory.mkdir(exist_ok=True)
-    stages = [directory / f"{number}" for number in range(len(STEPS) + 1)]
-    with locked(directory / ".lock", elsewhere="--basetemp"):
-        if not stages[-1].exists():
-            world = directory / "world"  # configurations of runs name their folder, so it stays the same
-            world.mkdir()
-            for step, before in zip(STEPS, stages, strict=False):
-                copy_world(world, before)
-                run(*step.command(world))
-            copy_world(world, stages[-1])
-    return stages
+
+    def make(directory: Path) -> None:
+        world = directory / "world"  # configurations of runs name their folder, so it stays the same
+        world.mkdir()
+        for number, step in enumerate(STEPS):
+            copy_world(world, directory / f"{number}")
+            run(*step.command(world))
+        copy_world(world, directory / f"{len(STEPS)}")
+
+    directory = once_per_session(tmp_path_factory, "worlds", make)
+    return [directory / f"{number}" for number in range(len(STEPS) + 1)]
 
 
 def copy_world(world: Path, target: Path) -> Path:

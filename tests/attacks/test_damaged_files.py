@@ -24,7 +24,7 @@ from cophy.study.judging import read_clicks, read_participants
 from cophy.study.report import draw_studies, read_answers, study_tables
 from tests.attacks.conftest import DATA, DERENDERER, ESTIMATED, TRAINING, Step, copy_world
 from tests.commands import ending
-from tests.conftest import tiny_spec
+from tests.conftest import RunsCode, tiny_spec
 from tests.study.test_report import description, write_answers
 
 pytestmark = pytest.mark.slow
@@ -34,16 +34,6 @@ MAX_SECONDS = 90
 HUGE_BYTES = 2**40
 VALUES = (None, True, -1, 0, 10**400, 1e308, float("nan"), float("inf"), "", "../x", "a" * 5000, [], {}, [[]], "\x00")
 TEXTS = ("", "null", "[]", "{}", "[" * 100_000, "a: &a [*a]", "<html>", "x" * 10**6, '{"shards": "x"}', "\x00\xff")
-
-
-class Payload:
-    """Creates a folder when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> Any:
-        return os.mkdir, (str(self.path),)
 
 
 def truncate(path: Path, rng: random.Random) -> None:
@@ -81,7 +71,7 @@ def replace_by_text(path: Path, rng: random.Random) -> None:
 
 
 def replace_by_pickle(path: Path, rng: random.Random) -> None:
-    path.write_bytes(pickle.dumps(Payload(path.parent / "executed"), protocol=rng.randrange(6)))
+    path.write_bytes(pickle.dumps(RunsCode(path.parent / "executed"), protocol=rng.randrange(6)))
 
 
 def change_value(path: Path, rng: random.Random) -> None:

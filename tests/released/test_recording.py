@@ -1,6 +1,5 @@
 """Broken and malicious released experiments are named, and run no code."""
 
-import os
 import pickle
 from pathlib import Path
 from typing import Any
@@ -8,18 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.conftest import RunsCode
 from tests.released.indexing import LISTS, make, states
 from tests.released.trees import CoPhyTree, clip
-
-
-class Payload:
-    """Leaves a file when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> Any:
-        return os.mkdir, (str(self.path),)
 
 
 def with_states(change: Any) -> Any:
@@ -40,12 +30,12 @@ def at(index: Any, value: float) -> Any:
 
 def pickled(directory: Path) -> None:
     array = np.empty(1, dtype=object)
-    array[0] = Payload(directory / "executed")
+    array[0] = RunsCode(directory / "executed")
     np.save(directory / "confounders.npy", array, allow_pickle=True)
 
 
 def bare_pickle(directory: Path) -> None:
-    (directory / "confounders.npy").write_bytes(pickle.dumps(Payload(directory / "executed")))
+    (directory / "confounders.npy").write_bytes(pickle.dumps(RunsCode(directory / "executed")))
 
 
 def huge_header(directory: Path) -> None:

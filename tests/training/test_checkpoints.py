@@ -30,6 +30,7 @@ from cophy.training.checkpoints import (
     read_file,
     restore_network,
 )
+from tests.conftest import RunsCode
 from tests.training.saved import model_of, saved, weights_of
 
 SOURCE = Path("a.ckpt")
@@ -50,16 +51,6 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_older_one(
     with pytest.raises(OSError, match="No space left"):
         WholeCheckpoints({}, tmp_path).save_checkpoint({"weights": torch.zeros(3)}, path)
     assert [file.read_bytes() for file in path.parent.iterdir()] == [before]
-
-
-class RunsCode:
-    """Would create a file when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Path.touch, (self.path,)
 
 
 def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
