@@ -75,6 +75,12 @@ def train(*arguments: object, data: Path, code: int = 0, apart: bool = False) ->
     return (run_apart if apart else run)("train", *arguments, "size=tiny", f"data_dir={data}", *defaults, code=code)
 
 
+def without_times(metrics: dict[str, Any]) -> dict[str, Any]:
+    """Return metrics.json without what may differ between two runs of the same command."""
+    times = {"training_seconds", "training_cpu_seconds", "wall_seconds", "resumed"}
+    return {key: value for key, value in metrics.items() if key not in times}
+
+
 _read_mode = Hydra.get_mode
 
 

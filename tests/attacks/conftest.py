@@ -15,15 +15,9 @@ from typing import Any
 
 import pytest
 
-from tests.commands import run
+from tests.commands import run, without_times
 from tests.conftest import ROOT, once_per_session
 
-DURATIONS = {
-    "training_seconds",
-    "training_cpu_seconds",
-    "wall_seconds",
-    "resumed",
-}  # keys of metrics.json that may differ
 EXACT = {".h5", ".csv", ".npz", ".npy", ".mp4", ".txt", ".tex"}  # files that have the same bytes every time
 
 
@@ -112,8 +106,7 @@ def contents(world: Path) -> dict[str, Any]:
     for path in sorted(world.rglob("*")):
         name = str(path.relative_to(world))
         if path.name == "metrics.json":
-            metrics = json.loads(path.read_bytes())
-            result[name] = {key: value for key, value in metrics.items() if key not in DURATIONS}
+            result[name] = without_times(json.loads(path.read_bytes()))
         elif path.suffix in EXACT or path.name == "manifest.json":
             result[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return result
