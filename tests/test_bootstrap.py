@@ -10,8 +10,9 @@ def test_experiments_that_do_not_count_are_left_out() -> None:
     assert mean(np.array([1.0, np.nan, 3.0])) == 2.0
 
 
-def test_the_interval_covers_the_mean_as_often_as_it_says() -> None:
+def test_the_interval_covers_the_mean_as_often_as_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where the experiments of a cluster err alike."""
+    monkeypatch.setattr("cophy.bootstrap.NUM_RESAMPLES", 400)
     rng = np.random.default_rng(0)
     for alike in (1, 2):
         samples = (np.repeat(rng.exponential(1.0, 200 // alike), alike) for _ in range(300))
@@ -32,7 +33,8 @@ def test_items_of_a_cluster_are_resampled_together_however_many_there_are() -> N
     assert interval(np.array([1.0, 2.0, 3.0]), np.zeros(3, dtype=int)) == (2.0, 2.0)
 
 
-def test_a_ratio_is_of_sums_and_its_interval_covers_it() -> None:
+def test_a_ratio_is_of_sums_and_its_interval_covers_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cophy.bootstrap.NUM_RESAMPLES", 400)
     rng, truth, covered = np.random.default_rng(0), 0.25, []
     for _ in range(200):
         size = rng.exponential(1.0, 150)
