@@ -80,11 +80,11 @@ def once_per_session(tmp_path_factory: pytest.TempPathFactory, name: str, make: 
     return directory
 
 
-def raising(number: int, *file: str) -> Callable[..., Any]:
+def raising(number: int) -> Callable[..., Any]:
     """Return a function that raises the OSError of this number."""
 
     def raise_error(*_: object, **__: object) -> None:
-        raise OSError(number, os.strerror(number), *file)
+        raise OSError(number, os.strerror(number))
 
     return raise_error
 

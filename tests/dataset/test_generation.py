@@ -82,10 +82,10 @@ def test_shards_without_permission_to_read_are_not_damaged(
     directory = copy(finished, tmp_path)
     before = {path.name: path.stat().st_ino for path in directory.glob("shard-*")}
     with monkeypatch.context() as patched:
-        patched.setattr("cophy.dataset.shards.sha256", raising(errno.EACCES, "shard-00000.h5"))
-        with pytest.raises(PermissionError, match="shard-00000"):
+        patched.setattr("cophy.dataset.shards.sha256", raising(errno.EACCES))
+        with pytest.raises(PermissionError):
             generate(tmp_path)
-        with pytest.raises(PermissionError, match="shard-00000"):
+        with pytest.raises(PermissionError):
             States(SPEC, tmp_path).load()
     assert {path.name: path.stat().st_ino for path in directory.glob("shard-*")} == before
     assert digests(directory) == digests(finished)
