@@ -89,7 +89,7 @@ def test_the_sample_is_what_the_generator_makes(name: str, tmp_path: Path) -> No
 @pytest.mark.slow
 @pytest.mark.usefixtures("not_in_the_package")
 def test_generating_the_sample_gives_its_content(tmp_path: Path) -> None:
-    """Processors round differently, and impacts enlarge that: on another one, a pair of twenty had other bytes."""
+    """Machines round differently, and impacts enlarge that: on another one, one pair of twenty had other bytes."""
     pytest.importorskip("pybullet")
     states = sample("collision", tmp_path)
     images = states.frames(cached_settings("generate", "render=all", "render.resolution=112").render, TEST)

@@ -143,7 +143,7 @@ def test_every_ablation_runs_as_one_multirun_and_fills_the_report(tiny_data: Pat
     markdown = (tmp_path / "elsewhere" / "tables.md").read_text()
     assert "Table 3" in markdown
     row = next(line for line in markdown.splitlines() if line.startswith("| 3→3 "))
-    beyond = len(next(table for table in paper_tables() if table.id == "blocktower").columns) - 6
+    beyond = len(next(table for table in paper_tables() if table.id == "blocktower").columns) - 6  # six are the paper's
     assert row.count("—") == 3 + 2 * beyond  # IN, NPE, IN sup.; those beyond the paper have no number there either
     assert "Size tiny: 34 training and 4 test experiments; 1 epochs; seeds 0." in markdown
     assert (

@@ -61,13 +61,7 @@ class Scenario(ABC):
     def __post_init__(self) -> None:
         check_name("scenario.name", self.name)
         _check_finite("scenario", asdict(self))
-        for key in ("min_difference", "min_effect"):  # of towers there is no min_effect
-            value = getattr(self, key, 0.0)
-            if self.farthest_m is not None and value > self.farthest_m:
-                raise ValueError(
-                    f"scenario.{key}={value:g} m must be at most {self.farthest_m:.3g} m: "
-                    "nothing moves farther in this scenario"
-                )
+        self._check_distance("min_difference", self.min_difference)
         if not -MAX_GRAVITY <= self.gravity_z < 0:
             raise ValueError(f"scenario.gravity_z={self.gravity_z:g} must be negative, at least {-MAX_GRAVITY:g} m/s²")
         if self.solver.step_rate_hz % self.clock.state_rate_hz:
@@ -91,6 +85,13 @@ class Scenario(ABC):
         if unknown or not self.do_operations:
             raise ValueError(
                 f"scenario.do_operations={list(self.do_operations)} must be some of {list(self.known_do_operations())}"
+            )
+
+    def _check_distance(self, key: str, value: float) -> None:
+        if self.farthest_m is not None and value > self.farthest_m:
+            raise ValueError(
+                f"scenario.{key}={value:g} m must be at most {self.farthest_m:.3g} m: "
+                "nothing moves farther in this scenario"
             )
 
     @property

@@ -62,6 +62,10 @@ class SimulatedSearch(Scenario):
             rng: The only source of randomness.
         """
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_distance("min_effect", self.min_effect)
+
     @property
     def farthest_m(self) -> float:
         return 2 * math.sqrt(2) * self.extent
