@@ -1,23 +1,29 @@
-"""Training steps on a GPU: models, batch sizes, precision, torch.compile and CUDA graphs, and the paper's de-renderer at 224 px.
+"""Rendering and training steps on a GPU: models, batch sizes, precision, torch.compile, CUDA graphs; the paper's de-renderer.
 
-Random inputs without empty slots; a step is forward, backward and Adam. Each result is written as it comes, so ten minutes are enough.
+Training has random inputs without empty slots; a step is forward, backward and Adam. Each result is written as it comes, so
+ten minutes are enough.
 """
 
 import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from itertools import product
 
+import numpy as np
 import torch
 from measure import REPEATS, Measured
 from speed_training import Kind, random_batch
 from torch import nn
 from torch.profiler import ProfilerActivity, profile
 
-from cophy.config import composed, to_plain
+from cophy.config import composed, settings, to_plain
+from cophy.errors import CophyError
 from cophy.models.derenderer import Derenderer
 from cophy.models.layers import pack
+from cophy.scenario import Shape, Simulator
+from cophy.scenario.rendering import Backend, Renderer
 from cophy.training.checkpoints import build_network
 from cophy.training.losses import position_loss, stability_loss
 from cophy.types import Batch, Inputs, Prediction, map_tensors
@@ -26,8 +32,12 @@ MODELS = ("cophynet", "alongside", "gns", "transformer")
 BALLS = Kind(4, 4)
 BATCH_SIZES = (64, 512, 4096)
 SECONDS = 0.3  # at least, of each of REPEATS measurements
+CPU_BATCH_SIZE = 64
 DERENDERER_BATCHES = (32, 128, 256)
 RESOLUTION = 224  # the paper's
+RENDERED = (112, 224, 448)  # pixels
+NUM_RENDERED = 5  # frames at once
+FAINT = 8  # a difference of a channel, of 255, that nobody sees
 
 
 def measure(device: str = "cuda") -> Iterator[Measured]:
@@ -35,6 +45,13 @@ def measure(device: str = "cuda") -> Iterator[Measured]:
     if device == "cuda" and not torch.cuda.is_available():
         raise SystemExit("just bench gpu: PyTorch finds no GPU with CUDA here")
     name = torch.cuda.get_device_name() if device == "cuda" else "CPU"
+    yield from renderers(name)
+    for model in MODELS:  # what the GPU is compared with; bench.py allows one thread
+        step = prepared(model, random_batch(CPU_BATCH_SIZE, *BALLS), "float32", "eager")
+        values = [CPU_BATCH_SIZE * each for each in rates(step, "cpu")]
+        yield Measured(
+            f"CPU, one thread: {model}, four balls, batch {CPU_BATCH_SIZE}, float32", "experiments/s", values
+        )
     ways = [*product(BATCH_SIZES, MODELS, ("float32", "bfloat16"), ("eager", "graph"))]
     compiled = [(512, model, "float32", "compiled") for model in MODELS]  # last: compiling takes minutes
     for size, model, precision, how in (*ways, *compiled):
@@ -49,6 +66,33 @@ def measure(device: str = "cuda") -> Iterator[Measured]:
             yield Measured(f"{what}: {str(error).splitlines()[0][:80]}", "experiments/s", [math.nan])
         if (size, model, precision, how) == ways[-1]:
             yield from derenderers(name, device)
+
+
+def renderers(name: str) -> Iterator[Measured]:
+    """Yield frames/s of both renderers, and the share of pixels by which their images differ."""
+    scenario = settings("generate", "scenario=blocktower").scenario
+    with Simulator() as simulator:
+        tower = scenario.twin_pair(3, data_seed=0, pair=0, simulator=simulator)[0].observed
+    positions, quaternions = np.split(tower.states[:NUM_RENDERED, :, :7], [3], axis=-1)
+    boxes = [Shape.BOX] * scenario.num_slots
+
+    def rendered(renderer: Renderer) -> np.ndarray:
+        return renderer.render(positions, quaternions, presence=tower.presence, shapes=boxes, background_seed=0).rgb
+
+    for resolution in RENDERED:
+        images = []
+        for backend in Backend:
+            what = f"{name}: render.backend={backend.value}, towers, {resolution} px"
+            try:
+                with Renderer(scenario, resolution, backend) as renderer:
+                    images.append(rendered(renderer).astype(int))
+                    values = [NUM_RENDERED * each for each in rates(partial(rendered, renderer), "cpu")]
+                yield Measured(what, "frames/s", values)
+            except CophyError as error:  # no EGL here
+                yield Measured(f"{what}: {error}", "frames/s", [math.nan])
+        if len(images) == len(Backend):
+            differs = np.abs(images[0] - images[1]).max(axis=-1) > FAINT
+            yield Measured(f"{name}: pixels that differ visibly, towers, {resolution} px", "share", [differs.mean()])
 
 
 def derenderers(name: str, device: str) -> Iterator[Measured]:
@@ -129,14 +173,14 @@ def autocast(device: str, precision: str) -> AbstractContextManager[object]:
     return nullcontext() if precision == "float32" else torch.autocast(device, torch.bfloat16)
 
 
-def rates(step: Callable[[], None], device: str) -> list[float]:
+def rates(step: Callable[[], object], device: str) -> list[float]:
     """Return the steps per second, REPEATS times."""
     for _ in range(3):
         step()
     return [rate(step, device) for _ in range(REPEATS)]
 
 
-def rate(step: Callable[[], None], device: str) -> float:
+def rate(step: Callable[[], object], device: str) -> float:
     """Return the steps per second over at least SECONDS."""
     synchronize(device)
     start, count = time.perf_counter(), 0

@@ -2,7 +2,7 @@
 
 Tables between `<!-- generated: NAME -->` and `<!-- end of generated: NAME -->`, in README.md, checkpoints/README.md and docs/, and
 the plots of docs/figures. They are made from docs/results/format_3.csv, docs/results/results.csv (runs on data of format 4), the
-paper's numbers (paper_tables.yaml), docs/cophy/claims.yaml, docs/results/columns.csv and checkpoints/index.csv. With --check nothing is written; the command names
+paper's numbers (paper_tables.yaml), docs/cophy/claims.yaml, docs/results/columns.csv, docs/results/gpu.csv and checkpoints/index.csv. With --check nothing is written; the command names
 what differs, and exits with 1.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 import yaml
 from result_claims import claims
 from result_entries import EntryError, entries_table
-from result_listings import checkpoints, column_meanings, derenderers
+from result_listings import checkpoints, column_meanings, derenderers, gpu_renderers, gpu_steps, gpu_trainings
 from result_runs import (
     COLUMNS,
     COPIES,
@@ -170,6 +170,9 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "columns": column_meanings,
         "data_costs": data_costs,
         "rendering": rendering,
+        "gpu_steps": gpu_steps,
+        "gpu_trainings": gpu_trainings,
+        "gpu_renderers": gpu_renderers,
     }
 
 

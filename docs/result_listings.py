@@ -1,9 +1,11 @@
-"""Tables that list what other files have: the published weights, and the columns of results.csv."""
+"""Tables that list what other files have: the published weights, measurements on a GPU, and the columns of results.csv."""
 
 import csv
 from pathlib import Path
 
 from result_runs import ROOT, Results, markdown
+
+GPU = ROOT / "docs" / "results" / "gpu.csv"
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -52,3 +54,50 @@ def column_meanings() -> str:
         if not (name := line["column"]).endswith(("_low", "_high"))
     ]
     return markdown(["column", "meaning", "unit"], rows)
+
+
+GPU_WAYS = {
+    "CPU": "one CPU core",
+    "float32, eager": "GPU",
+    "bfloat16, eager": "bfloat16",
+    "float32, graph": "CUDA graph",
+    "bfloat16, graph": "both",
+}
+
+
+def gpu_steps() -> str:
+    """Experiments (of a de-renderer: frames) per second of training steps, by model, batch and way."""
+    rows = [row for row in read_csv(GPU) if row["batch"] and row["unit"] in ("experiments/s", "frames/s")]
+    rates = {(row["what"], row["batch"], row["how"]): f"{float(row['median']):,.0f}" for row in rows}
+    busy = {
+        (row["what"], row["batch"]): f"{100 * float(row['median']):.0f} %"
+        for row in read_csv(GPU)
+        if row["unit"] == "share of time in kernels" and row["how"] == "float32, eager"
+    }
+    trained = dict.fromkeys((model, batch) for model, batch, _ in rates)
+    lines = [
+        [f"`{model}`", batch, *(rates.get((model, batch, way), "–") for way in GPU_WAYS), busy.get((model, batch), "–")]
+        for model, batch in trained
+    ]
+    return markdown(["model", "batch", *GPU_WAYS.values(), "kernels run"], lines)
+
+
+def gpu_trainings() -> str:
+    """Whole trainings: seconds of an epoch and the validation MSE."""
+    rows = read_csv(GPU)
+    lines = [
+        [row["what"], row["batch"], row["how"], f"{float(row['median']):.1f}", f"{float(error['median']):.3f}", after]
+        for row in rows
+        for error in rows
+        if row["unit"] == "s per epoch" and all(row[key] == error[key] for key in ("what", "batch", "how"))
+        if (after := error["unit"].removeprefix("validation MSE after ")) != error["unit"]
+    ]
+    return markdown(["training", "batch", "on", "s per epoch", "validation MSE, m²", "after"], lines)
+
+
+def gpu_renderers() -> str:
+    """Frames per second of both renderers on the machine with the GPU."""
+    rates = {(row["what"], row["how"]): row["median"] for row in read_csv(GPU) if row["unit"] == "frames/s"}
+    sizes = [what for what, how in rates if how == "egl"]
+    lines = [[size, *(f"{float(rates[size, how]):.0f}" for how in ("tiny", "egl"))] for size in sizes]
+    return markdown(["frames/s", "CPU (`tiny`)", "GPU (`egl`)"], lines)

@@ -68,7 +68,7 @@ class Transformer(nn.Module):
     def _predict(self, inputs: Inputs) -> Prediction:
         tokens = self.embed(self.appearance.concatenate_to(tokens_of(inputs), inputs))  # batch time slots hidden
         batch, time, slots, hidden = tokens.shape
-        tokens = tokens + time_encoding(time, hidden).to(tokens)[:, None]
+        tokens = tokens + time_encoding(time, hidden, tokens.device)[:, None]
         absent = without_empty_rows(~(inputs.observed_presence | inputs.presence)).repeat_interleave(time, dim=0)
         for over_objects, over_time in zip(self.over_objects, self.over_time, strict=True):
             tokens = over_objects(tokens.flatten(0, 1), src_key_padding_mask=absent).view(batch, time, slots, hidden)
@@ -90,10 +90,10 @@ def tokens_of(inputs: Inputs) -> Float[Tensor, "batch time slots 14"]:
     return torch.cat([observed, motion, repeated], dim=-1)
 
 
-def time_encoding(length: int, width: int) -> Float[Tensor, "length width"]:
+def time_encoding(length: int, width: int, device: torch.device) -> Float[Tensor, "length width"]:
     """Return sines and cosines of the frame's index, as in Vaswani et al. (2017)."""
-    rates = torch.exp(-math.log(LONGEST_PERIOD) * torch.arange(width // 2) / (width // 2))
-    phases = torch.arange(length)[:, None] * rates
+    rates = torch.exp(-math.log(LONGEST_PERIOD) * torch.arange(width // 2, device=device) / (width // 2))
+    phases = torch.arange(length, device=device)[:, None] * rates
     return torch.cat([phases.sin(), phases.cos()], dim=-1)
 
 
