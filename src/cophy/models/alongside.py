@@ -15,9 +15,9 @@ s is the stability, m and m' are mixture weights, c and c' corrections, and k is
 impulse from another object at the time τ within the step at which the two would touch or be nearest. Sums are over all other
 objects: the network learns that impulses need contact.
 
-The initial velocity v_0 is the first motion of AB plus a learned correction. In evaluation, no object moves farther in a step
-than `max_step`, because a rollout with more objects than in training can diverge: Δ_t and v_{t+1} are scaled by one factor.
-v_{t+1} itself is not clipped: later corrections can cancel it, so the network may use it as memory.
+The initial velocity v_0 is the first motion of AB plus a learned correction. No object moves farther in a step than
+`max_step`, because a rollout can diverge, early in training or with more objects than in training: Δ_t and v_{t+1} are
+scaled by one factor. v_{t+1} itself is not clipped: later corrections can cancel it, so the network may use it as memory.
 
 With `hypotheses`, n_t also has how A and C would rest (`cophy.models.statics`): for towers.
 """
@@ -279,7 +279,7 @@ class Alongside(nn.Module):
             edge_layers: Linear layers of messages, at least 2.
             temperature: λ of the gate.
             arena_half_width: Distance from the origin to each of four walls, metres; None without walls.
-            max_step: Largest displacement of an object in a step in evaluation, metres.
+            max_step: Largest displacement of an object in a step, metres.
             replay: Whether the motion of AB can be used; otherwise m and m' are 0.
             impulses: Whether objects change each other's motion directly; otherwise J is 0.
             pair_memory: Whether the decoder sees r.
@@ -359,9 +359,8 @@ class Alongside(nn.Module):
                 velocity = velocity + impulse.sum(dim=1)
             displacement = mixture * motion[:, step] + (1 - mixture) * displacement
             velocity = mixture_next * after[:, step] + (1 - mixture_next) * velocity
-            if not self.training:
-                scale = (self.max_step / length(displacement)).clamp(max=1)
-                velocity, displacement = scale * velocity, scale * displacement
+            scale = (self.max_step / length(displacement)).clamp(max=1)
+            velocity, displacement = scale * velocity, scale * displacement
             position = position + gate(logit, self.temperature) * displacement
             positions.append(position)
             logits.append(logit)
