@@ -46,8 +46,8 @@ class DerenderingModule(L.LightningModule):
         return DerenderingFigures(every_n_epochs)
 
     def results(self, data: FrameDataModule) -> Results:
-        """Return all metrics of the test."""
-        return Results(self.tested, data.test.clusters)
+        """Return all metrics of the test, which may have ended early (trainer.limit_test_batches)."""
+        return Results(self.tested, data.test.clusters[: len(self.tested["mse"])])
 
     def forward(self, image: UInt8[Tensor, "batch 3 height width"]) -> Derendered:
         """Return positions and presence of the objects in an image."""
