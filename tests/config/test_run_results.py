@@ -54,6 +54,7 @@ def test_a_limited_test_counts_and_compares_what_it_tested(tiny_data: Path, tmp_
     assert content["copies"]["copy_b"] == pytest.approx(content["metrics"]["mse"])
 
 
+@pytest.mark.slow
 def test_a_limited_test_of_a_derenderer_counts_what_it_tested(tiny_data: Path, tmp_path: Path) -> None:
     short = ("num_images=40", "trainer.max_epochs=1", "trainer.limit_train_batches=1", "model.width=1")
     limited = ("training.batch_size=2", "trainer.limit_test_batches=1", f"hydra.run.dir={tmp_path}")
