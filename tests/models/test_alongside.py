@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from cophy.models.alongside import IMPULSE_LOGIT_OFFSET, MAX_HEIGHT_M, STEP_DIMS, Contact, Contacts, EgoFeatures
+from cophy.models.alongside import MAX_HEIGHT_M, STEP_DIMS, Contact, Contacts, EgoFeatures
 from cophy.models.layers import Appearance
 from cophy.types import Inputs
 from tests.models.networks import build, random_batch
@@ -50,13 +50,23 @@ def test_objects_that_arrive_too_late_or_pass_do_not_touch(velocity: list[float]
 
 def test_equal_masses_exchange_their_motion_along_the_normal_in_an_elastic_impact() -> None:
     contact, incoming = contact_of([3.0, 0.6, 0], [-4.0, 0, 0]), torch.tensor([-4.0, 0, 0])
-    # half of the largest impulse: (1 + e) m / (m + m) with e = 1
-    share_logits = torch.tensor([IMPULSE_LOGIT_OFFSET, -math.inf]).expand(1, 1, 2, 2)
-    first, second = contact.impulse(share_logits)[0, 0]
+    logits = torch.tensor([math.inf, -math.inf, 0]).expand(1, 1, 2, 3)  # elastic, without friction
+    first, second = contact.impulse(logits)[0, 0]
     torch.testing.assert_close(first, -4 * 0.8 * torch.tensor([0.8, 0.6, 0]))
     torch.testing.assert_close(first + second, torch.zeros(3), atol=1e-6, rtol=0)  # momentum is conserved
     energy = first.norm() ** 2 + (incoming + second).norm() ** 2
     torch.testing.assert_close(energy, incoming.norm() ** 2)
+
+
+def test_impulses_of_a_pair_conserve_momentum_and_add_no_energy() -> None:
+    contact, incoming = contact_of([3.0, 0.6, 0], [-4.0, 0.5, 1]), torch.tensor([-4.0, 0.5, 1])
+    for logits in 5 * torch.randn(20, 1, 1, 2, 3):
+        first, second = contact.impulse(logits)[0, 0]
+        mass_ratio = torch.exp(logits[0, 0, 1, 2] - logits[0, 0, 0, 2])  # of the first to the second
+        torch.testing.assert_close(mass_ratio * first + second, torch.zeros(3), atol=1e-3, rtol=1e-3)
+        before = incoming.norm() ** 2
+        after = mass_ratio * first.norm() ** 2 + (incoming + second).norm() ** 2
+        assert after <= before * (1 + 1e-5)
 
 
 def test_changes_are_projected_on_normal_and_slip() -> None:

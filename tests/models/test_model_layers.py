@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from cophy.models.layers import GraphConvolution, PairwiseMLP, mean_graph, others, pack, radius_graph, unpack
+from cophy.models.layers import GraphConvolution, PairwiseMLP, mean_graph, mirrored, others, pack, radius_graph, unpack
 from cophy.types import Prediction
 from tests.models.networks import random_batch
 from tests.models.plain_loop import convolve, edge_function
@@ -26,6 +26,13 @@ def test_every_slot_is_paired_with_every_other_once_and_never_with_itself() -> N
     pairs = others(torch.arange(5)[None])[0]
     for k in range(5):
         assert sorted(pairs[:, k].tolist()) == [j for j in range(5) if j != k]
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_mirrored_pairs_exchange_their_objects(count: int) -> None:
+    objects = torch.randn(3, count, 2)
+    own, other = objects[:, None].expand(-1, count - 1, -1, -1), others(objects)
+    assert torch.equal(mirrored(own - 2 * other), other - 2 * own)
 
 
 def test_f_and_g_have_the_configured_numbers_of_layers() -> None:

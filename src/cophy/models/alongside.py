@@ -12,8 +12,8 @@ CoPhyNet summarises AB in one vector per object. Here, the decoder at every step
     o_{t+1} = o_t + σ((1 - s_t)/λ) Δ_t
 
 s is the stability, m and m' are mixture weights, c and c' corrections, and k is the share of the motion that is kept. J is the
-impulse from another object at the time τ within the step at which the two would touch or be nearest. Sums are over all other
-objects: the network learns that impulses need contact.
+impulse from another object at the time τ within the step at which the two would touch or be nearest: a pair keeps its momentum
+and gains no energy. Sums are over all other objects: the network learns that impulses need contact.
 
 The initial velocity v_0 is the first motion of AB plus a learned correction. No object moves farther in a step than
 `max_step`, because a rollout can diverge, early in training or with more objects than in training: Δ_t and v_{t+1} are
@@ -37,6 +37,7 @@ from cophy.models.layers import (
     check_layers,
     check_positive,
     mean_graph,
+    mirrored,
     mlp,
     others,
     pack,
@@ -138,15 +139,20 @@ class Contact:
         """Return the features that do not depend on direction."""
         return torch.cat([self.moment, self.gap, self.approach, length(self.slip), self.touches], dim=-1)
 
-    def impulse(self, share_logits: Float[Tensor, "batch others slots 2"]) -> Float[Tensor, "batch others slots 3"]:
+    def impulse(self, logits: Float[Tensor, "batch others slots 3"]) -> Float[Tensor, "batch others slots 3"]:
         """Return the change of the object's motion by the other, metres per step.
 
+        A pair conserves momentum for masses that fit its shares, which sum to 1, and gains no energy: it reverses approach and
+        slip at most.
+
         Args:
-            share_logits: Logits of the shares of approach and slip that the object takes over. The share of the approach
-                is at most 2 (an elastic impact with a far heavier body), that of the slip at most 1.
+            logits: Of how far approach and slip are reversed, summed over both objects, and of the object's share in these
+                changes, of which the other's is subtracted: the lighter object has the larger share.
         """
-        approach_share, slip_share = torch.sigmoid(share_logits - IMPULSE_LOGIT_OFFSET).chunk(2, dim=-1)
-        return 2 * approach_share * self.approach * self.normal + slip_share * self.slip
+        other = mirrored(logits)
+        reversed_parts = torch.sigmoid((logits + other)[..., :2] - IMPULSE_LOGIT_OFFSET)
+        approach, slip = (reversed_parts * torch.sigmoid((logits - other)[..., 2:])).chunk(2, dim=-1)
+        return 2 * approach * self.approach * self.normal + slip * self.slip
 
     def along(self, change: Float[Tensor, "batch slots 3"]) -> Float[Tensor, "batch others slots 4"]:
         """Project changes of motion of the object and of the other on the normal and on the direction of slip."""
@@ -310,7 +316,7 @@ class Alongside(nn.Module):
         node_dim += 2 * self.statics.width if self.statics else 0  # of A and of C
         relation_dim = 2 * OFFSET_DIM + CONTACT_DIM + hidden_dim * pair_memory
         self.messages = PairwiseMLP(node_dim, hidden_dim, layers=edge_layers, relation_dim=relation_dim)
-        self.push = nn.Linear(hidden_dim, 2) if impulses else None
+        self.push = nn.Linear(hidden_dim, 3) if impulses else None
         self.node = mlp(node_dim + hidden_dim, hidden_dim, 2)
         self.cell = nn.GRUCell(hidden_dim, hidden_dim)
         self.to_step = mlp(hidden_dim + node_dim, hidden_dim, 2, output_dim=sum(STEP_DIMS))

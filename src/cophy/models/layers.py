@@ -78,6 +78,12 @@ def others(objects: Shaped[Tensor, "batch slots *features"]) -> Shaped[Tensor, "
     return torch.stack([objects.roll(shift, dims=1) for shift in range(1, objects.shape[1])], dim=1)
 
 
+def mirrored(pairs: Shaped[Tensor, "batch others slots *features"]) -> Shaped[Tensor, "batch others slots *features"]:
+    """Return for each pair, in the order of `others`, what the other object has for the same pair."""
+    reversed_pairs = pairs.flip(1).unbind(dim=1)
+    return torch.stack([each.roll(shift, dims=1) for shift, each in enumerate(reversed_pairs, start=1)], dim=1)
+
+
 @dataclass
 class Graph:
     """Which objects are present, and with what weight they receive messages from each other.
