@@ -2,7 +2,7 @@
 
 Tables between `<!-- generated: NAME -->` and `<!-- end of generated: NAME -->`, in README.md, checkpoints/README.md and docs/, and
 the plots of docs/figures. They are made from docs/results/format_3.csv, docs/results/results.csv (runs on data of format 4), the
-paper's numbers (paper_tables.yaml), docs/cophy/claims.yaml, docs/results/columns.csv, docs/results/gpu.csv and checkpoints/index.csv. With --check nothing is written; the command names
+paper's numbers (paper_tables.yaml), docs/cophy/claims.yaml, docs/results/columns.csv, docs/results/gpu*.csv and checkpoints/index.csv. With --check nothing is written; the command names
 what differs, and exits with 1.
 """
 

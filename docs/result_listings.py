@@ -6,6 +6,13 @@ from pathlib import Path
 from result_runs import ROOT, Results, markdown
 
 GPU = ROOT / "docs" / "results" / "gpu.csv"
+GPU_WAYS = {
+    "CPU": "one CPU core",
+    "float32, eager": "GPU",
+    "bfloat16, eager": "bfloat16",
+    "float32, graph": "CUDA graph",
+    "bfloat16, graph": "both",
+}
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -56,15 +63,6 @@ def column_meanings() -> str:
     return markdown(["column", "meaning", "unit"], rows)
 
 
-GPU_WAYS = {
-    "CPU": "one CPU core",
-    "float32, eager": "GPU",
-    "bfloat16, eager": "bfloat16",
-    "float32, graph": "CUDA graph",
-    "bfloat16, graph": "both",
-}
-
-
 def gpu_steps() -> str:
     """Experiments (of a de-renderer: frames) per second of training steps, by model, batch and way."""
     rows = [row for row in read_csv(GPU) if row["batch"] and row["unit"] in ("experiments/s", "frames/s")]
@@ -83,16 +81,12 @@ def gpu_steps() -> str:
 
 
 def gpu_trainings() -> str:
-    """Whole trainings: seconds of an epoch and the validation MSE."""
-    rows = read_csv(GPU)
+    """Whole trainings: seconds of an epoch, and the validation MSE after some of them."""
     lines = [
-        [row["what"], row["batch"], row["how"], f"{float(row['median']):.1f}", f"{float(error['median']):.3f}", after]
-        for row in rows
-        for error in rows
-        if row["unit"] == "s per epoch" and all(row[key] == error[key] for key in ("what", "batch", "how"))
-        if (after := error["unit"].removeprefix("validation MSE after ")) != error["unit"]
+        [*names, f"{float(seconds):.1f}", epochs, f"{float(error):.3f}"]
+        for _, *names, seconds, epochs, error in map(dict.values, read_csv(GPU.with_name("gpu_trainings.csv")))
     ]
-    return markdown(["training", "batch", "on", "s per epoch", "validation MSE, m²", "after"], lines)
+    return markdown(["training", "batch", "on", "s per epoch", "after epochs", "validation MSE, m²"], lines)
 
 
 def gpu_renderers() -> str:

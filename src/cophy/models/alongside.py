@@ -50,7 +50,7 @@ MAX_HEIGHT_M = 2.0  # ours: of blocks above it, one in 112,938 is near the groun
 CONTACT_DIM = 5  # features of a contact
 OFFSET_DIM = 4  # features of `offsets`
 EPSILON = 1e-8  # m²: keeps the slope of square roots finite
-IMPULSE_LOGIT_OFFSET = 2.0  # impulses start at σ(-2) = 12 % of the largest possible ones
+IMPULSE_LOGIT_OFFSET = 2.0  # approach and slip are reversed by σ(-2) = 12 % at the start of training
 STEP_DIMS = (3, 3, 1, 1, 1, 1)  # outputs of a step: c, c', m, m', s, k
 KEPT_LOGIT_OFFSET = 4.0  # k starts at σ(4) = 98 %
 INITIAL_WEIGHT_SCALE = 0.2  # of the last layers: before training, a rollout is half AB and half constant velocity
