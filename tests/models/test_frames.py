@@ -41,13 +41,14 @@ def test_turned_experiments_look_equal(scenario: str, matrix: torch.Tensor) -> N
     torch.testing.assert_close(seen[0].initial, seen[1].initial, atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.parametrize("name", ["cophynet", "alongside"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_predictions_turn_with_the_experiment(scenario: str) -> None:
-    network, inputs = build("cophynet", canonical_frame=scenario), inputs_of(scenario)
+def test_predictions_turn_with_the_experiment(scenario: str, name: str) -> None:
+    network, inputs = build(name, canonical_frame=scenario), inputs_of(scenario)
     expected = turn(present_positions(network(inputs), inputs), QUARTER.expand(4, 2, 2))
     other = turned(inputs, QUARTER)
     torch.testing.assert_close(present_positions(network(other), other), expected, atol=1e-4, rtol=1e-4)
-    plain = build("cophynet")
+    plain = build(name)
     moved = turn(present_positions(plain(inputs), inputs), QUARTER.expand(4, 2, 2))
     assert (present_positions(plain(other), other) - moved).abs().max() > 1e-3
 
@@ -69,5 +70,7 @@ def test_what_the_frame_does_not_turn_is_refused() -> None:
         build("cophynet", canonical_frame="cars")
     with pytest.raises(CophyError, match="turns positions alone"):
         build("cophynet", canonical_frame="balls", pose=True)
+    with pytest.raises(CophyError, match="turns positions alone"):
+        build("alongside", canonical_frame="balls", pose=True)
     with pytest.raises(CophyError, match="turns positions alone"):
         build("cophynet_true", canonical_frame="balls")

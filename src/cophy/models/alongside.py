@@ -29,6 +29,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cophy.models.cophynet import gate
+from cophy.models.frames import check_frame, predict_in_frame
 from cophy.models.layers import (
     Appearance,
     Graph,
@@ -277,6 +278,7 @@ class Alongside(nn.Module):
         pose: bool,
         hypotheses: int = 0,
         block_size: float | None = None,
+        canonical_frame: str | None = None,
     ) -> None:
         """Build encoder and decoder.
 
@@ -293,6 +295,8 @@ class Alongside(nn.Module):
             pose: Whether the model sees the orientation of each object at t = 0.
             hypotheses: Hypotheses of masses and gravity under which statics is computed; 0 for none.
             block_size: Edge of a block, metres; None where objects are no blocks, and there is no statics.
+            canonical_frame: Name of the scenario whose symmetries are removed from the positions (`cophy.models.frames`);
+                None for positions as they are.
 
         Raises:
             CophyError: An argument is out of its range.
@@ -303,6 +307,8 @@ class Alongside(nn.Module):
         check_layers(2, edge_layers=edge_layers)
         check_positive(block_size=block_size)
         check_positive(temperature=temperature, arena_half_width=arena_half_width, max_step=max_step)
+        check_frame(canonical_frame, sees_more=pose)
+        self.canonical_frame = canonical_frame
         self.temperature, self.max_step, self.replay = temperature, max_step, replay
         self.ego = EgoFeatures(arena_half_width, Appearance(object_type, pose))
         # The names of modules are those of weights in checkpoints.
@@ -328,6 +334,9 @@ class Alongside(nn.Module):
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Roll D out from C, one step per frame of AB after the first."""
+        return predict_in_frame(self._predict_with_slots, inputs, self.canonical_frame)
+
+    def _predict_with_slots(self, inputs: Inputs) -> Prediction:
         packed, slots = pack(inputs)
         return unpack(self._predict(packed), slots, inputs.presence.shape[1])
 

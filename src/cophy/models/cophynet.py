@@ -15,7 +15,6 @@ not know its own mass.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from enum import Enum
 
 import torch
@@ -24,7 +23,7 @@ from torch import Tensor, nn
 
 from cophy.errors import CophyError
 from cophy.models.baselines import ConfounderInput
-from cophy.models.frames import canonical_matrices, check_frame, turn, turn_inputs
+from cophy.models.frames import check_frame, predict_in_frame
 from cophy.models.layers import (
     Appearance,
     GraphConvolution,
@@ -286,13 +285,9 @@ class CoPhyNet(nn.Module):
         )
         self.appearance = Appearance(object_type, pose)
         position_dim = 3 + self.appearance.width
+        is_true = self.source in (ConfounderSource.ground_truth, ConfounderSource.without_pose)
+        check_frame(canonical_frame, sees_more=pose or is_true)
         self.canonical_frame = canonical_frame
-        if canonical_frame is not None:
-            check_frame(canonical_frame)
-            if pose or self.source in (ConfounderSource.ground_truth, ConfounderSource.without_pose):
-                raise CophyError(
-                    "model.canonical_frame turns positions alone: it needs pose=false and no true confounders"
-                )
 
         def make_convolution(input_dim: int) -> nn.Module:
             if self.interaction is Interaction.graph:
@@ -307,7 +302,7 @@ class CoPhyNet(nn.Module):
             self.estimator = ConfounderEstimator(convolution, hidden_dim=hidden_dim, gru_layers=gru_layers)
             self.estimate_dim = hidden_dim
         self.num_confounders = 0
-        if self.source in (ConfounderSource.ground_truth, ConfounderSource.without_pose):
+        if is_true:
             self.num_confounders = ConfounderInput(self.source.value).width
         node_dim = position_dim + self.estimate_dim + self.num_confounders
         self.decoder: nn.Module
@@ -335,13 +330,9 @@ class CoPhyNet(nn.Module):
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Predict D, one step per frame of AB after the first."""
-        if self.canonical_frame is None:
-            return self._predict_in_frame(inputs)
-        matrices = canonical_matrices(inputs, self.canonical_frame)
-        prediction = self._predict_in_frame(turn_inputs(inputs, matrices))
-        return replace(prediction, position=turn(prediction.position, matrices.transpose(1, 2)))
+        return predict_in_frame(self._predict_with_slots, inputs, self.canonical_frame)
 
-    def _predict_in_frame(self, inputs: Inputs) -> Prediction:
+    def _predict_with_slots(self, inputs: Inputs) -> Prediction:
         if self.interaction is Interaction.mlp:  # it has separate weights for every slot, so slots must stay in place
             return self._predict(inputs)
         packed, slots = pack(inputs)

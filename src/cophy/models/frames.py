@@ -7,6 +7,7 @@
 The origin stays, since balls have walls, and networks that see offsets between objects need none.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -14,16 +15,27 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cophy.errors import CophyError
-from cophy.types import Inputs
+from cophy.types import Inputs, Prediction
 
 SCENARIOS = ("collision", "balls", "blocktower")
 EPSILON = 1e-12
 
 
-def check_frame(name: str) -> None:
-    """Raise a CophyError if a scenario has no canonical frame."""
-    if name not in SCENARIOS:
+def check_frame(name: str | None, *, sees_more: bool) -> None:
+    """Raise a CophyError if a scenario has no canonical frame, or if a model sees more than positions, which a frame leaves."""
+    if name is not None and name not in SCENARIOS:
         raise CophyError(f"model.canonical_frame={name} must be one of {', '.join(SCENARIOS)}")
+    if name is not None and sees_more:
+        raise CophyError("model.canonical_frame turns positions alone: it needs pose=false and no true confounders")
+
+
+def predict_in_frame(predict: Callable[[Inputs], Prediction], inputs: Inputs, scenario: str | None) -> Prediction:
+    """Predict D in the canonical frame of each experiment, and turn it back; without a scenario in the frame of the inputs."""
+    if scenario is None:
+        return predict(inputs)
+    matrices = canonical_matrices(inputs, scenario)
+    prediction = predict(turn_inputs(inputs, matrices))
+    return replace(prediction, position=turn(prediction.position, matrices.transpose(1, 2)))
 
 
 def canonical_matrices(inputs: Inputs, scenario: str) -> Float[Tensor, "batch 2 2"]:
