@@ -5,6 +5,7 @@ import torch
 
 from cophy.models.statics import LearnedStatics
 from cophy.scenario.statics import joint_margins
+from cophy.types import POSE, POSE_ANGLES
 
 
 def features_of(
@@ -41,6 +42,23 @@ def test_with_true_masses_and_gravity_the_margins_are_those_of_statics() -> None
                 tilt[tower, None, hypothesis].numpy(),
             )[0, 0]
             np.testing.assert_allclose(found[tower, :, hypothesis], expected, atol=1e-3)
+
+
+def test_the_yaw_of_blocks_makes_margins_exact() -> None:
+    position, mass, tilt = random_towers(50, 3)
+    position[..., :2] = 0.2 * torch.randn(50, 3, 2, generator=torch.Generator().manual_seed(0))
+    yaw = torch.linspace(0, 1.5, 150).view(50, 3)
+    pose = torch.zeros(50, 3, len(POSE))
+    pose[..., POSE_ANGLES[4]] = torch.stack([torch.cos(4 * yaw), torch.sin(4 * yaw)], dim=-1)
+    found = LearnedStatics(5, 2, 1.0)(position, torch.ones(50, 3, dtype=torch.bool), mass, tilt, pose)[..., 8:10]
+    for tower, hypothesis in np.ndindex(50, 2):
+        expected = joint_margins(
+            position[tower : tower + 1, :, :2].numpy(),
+            yaw[tower : tower + 1].numpy(),
+            mass[tower, None, :, hypothesis].numpy(),
+            tilt[tower, None, hypothesis].numpy(),
+        )[0, 0]
+        np.testing.assert_allclose(found[tower, :, hypothesis], expected, atol=1e-5)
 
 
 def test_a_tower_is_as_weak_as_its_weakest_joint() -> None:

@@ -391,4 +391,4 @@ class Alongside(nn.Module):
         encoded = torch.cat([forwards[:, -1], backwards[:, 0]], dim=-1)  # both have seen all of AB
         mass, tilt = self.statics.hypotheses(encoded, inputs.observed_presence)
         towers = ((inputs.observed[:, 0], inputs.observed_presence), (inputs.initial, inputs.presence))
-        return [self.statics(position, presence, mass, tilt) for position, presence in towers]
+        return [self.statics(position, presence, mass, tilt, inputs.pose) for position, presence in towers]
