@@ -27,7 +27,8 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from cophy.config import folder, generated_by, settings, variant
+from cophy.config import composed, folder, generated_by, settings, to_plain, variant
+from cophy.dataset.features import declared_inputs, not_derendered
 from cophy.dataset.splits import FRACTIONS
 from cophy.oracles.forecasts import SECONDS_PER_EXPERIMENT
 from cophy.report.paper_tables import ESTIMATED_IN_TESTING, TRUE_POSITIONS, methods, paper_tables
@@ -196,7 +197,14 @@ def derenderer_jobs(size: str) -> Iterator[Job]:
 def estimated_jobs(size: str) -> Iterator[Job]:
     """Every method of the tables on estimated positions, with one seed; trainings on true positions are used again."""
     for scenario, split, row, positions in table_rows(estimated=True):
-        yield run_job(scenario, split, row, size, positions=positions)
+        if is_derendered(row):
+            yield run_job(scenario, split, row, size, positions=positions)
+
+
+@cache
+def is_derendered(row: str) -> bool:
+    """Return whether a de-renderer estimates all that a method sees of images."""
+    return not not_derendered(declared_inputs(to_plain(composed("train", f"+row={row}").model)))
 
 
 def table_rows(*, estimated: bool) -> list[tuple[str, str, str, str]]:

@@ -6,7 +6,7 @@ tilts that AB has to tell: several hypotheses, so that the features of one can s
 does. All depends on which blocks lie above and below, not on how many there are.
 
 Contacts also depend on the yaw of the blocks, which positions do not show. With true masses and gravity, the smallest margin tells
-whether C stands for 77 % of towers of three if faces count as discs, and for all of them if the yaw is known.
+whether C stands for 76 % of towers of three if faces count as discs, and for all of them if the yaw is known.
 """
 
 import torch
