@@ -51,8 +51,10 @@ UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay", "spheres"]
 TREES = ["trees", "trees_confounders"]
 NETWORKS = ["in", "npe", "cophynet", "alongside", "alongside_canonical", "alongside_statics", "in_sup"]
 ONLY = {  # rows of one scenario
-    **{"replay": "collision", "spheres": "balls"},
-    **{"alongside_canonical": "collision", "alongside_statics": "blocktower"},
+    "replay": "collision",
+    "spheres": "balls",
+    "alongside_canonical": "collision",
+    "alongside_statics": "blocktower",
 }
 ONCE = [
     "cophynet_adam",

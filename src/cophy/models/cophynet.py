@@ -285,8 +285,8 @@ class CoPhyNet(nn.Module):
         )
         self.appearance = Appearance(object_type, pose)
         position_dim = 3 + self.appearance.width
-        is_true = self.source in (ConfounderSource.ground_truth, ConfounderSource.without_pose)
-        check_frame(canonical_frame, sees_more=pose or is_true)
+        knows_confounders = self.source in (ConfounderSource.ground_truth, ConfounderSource.without_pose)
+        check_frame(canonical_frame, sees_more=pose or knows_confounders)
         self.canonical_frame = canonical_frame
 
         def make_convolution(input_dim: int) -> nn.Module:
@@ -302,7 +302,7 @@ class CoPhyNet(nn.Module):
             self.estimator = ConfounderEstimator(convolution, hidden_dim=hidden_dim, gru_layers=gru_layers)
             self.estimate_dim = hidden_dim
         self.num_confounders = 0
-        if is_true:
+        if knows_confounders:
             self.num_confounders = ConfounderInput(self.source.value).width
         node_dim = position_dim + self.estimate_dim + self.num_confounders
         self.decoder: nn.Module

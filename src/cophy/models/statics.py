@@ -66,7 +66,7 @@ class LearnedStatics(nn.Module):
         """Return for the joint below each block, and for each hypothesis, in metres.
 
         - the point where the load bears, relative to the block and to the one below it (x and y each; zero on the ground);
-        - the joint's margin: its distance from the nearer edge of both faces, so that a joint fails below zero;
+        - the joint's margin: how far this point is from the edge of both faces; below zero, the joint fails;
         - the smallest margin of all joints of the tower, and of those above.
 
         Args:
