@@ -56,7 +56,7 @@ def main(data_dir: Path) -> None:
             trees = ExtraTreesClassifier(200, min_samples_leaf=2, random_state=0)
             trees.fit(moved["train"], heavy["train"][:, level])
             right.append(np.mean(trees.predict(moved["val"]) == heavy["val"][:, level]))
-        model = Trees(num_trees=40, min_samples_leaf=2)
+        model = Trees(num_trees=40, min_samples_leaf=2)  # as conf/model/trees.yaml
         model.fit(seen["train"], scenario, (torch.zeros(0), torch.ones(0)), seed=0)
         mse = mean_squared_error(scenario.task.metric_dims)(model(seen["val"].inputs), batches["val"].targets).mean()
         print(f"rounded to {step:g} m: masses {np.mean(right):.1%} right, MSE of extra trees {mse:.4f} m²")
@@ -86,7 +86,8 @@ def margins_of_c(arrays: Mapping[str, np.ndarray], inputs: Inputs, with_yaw: boo
     tilt = torch.from_numpy(arrays["gravity"][:, :2] / -arrays["gravity"][:, 2:]).float()[:, None]
     statics = LearnedStatics(1, 1, block_size=1.0)
     features = statics(inputs.initial, inputs.presence, mass, tilt, inputs.pose if with_yaw else None)
-    return torch.where(inputs.presence, features[..., 5], torch.inf).amin(dim=1)
+    smallest_margin = features[..., 5]  # after two points and the margin of the joint
+    return torch.where(inputs.presence, smallest_margin, torch.inf).amin(dim=1)
 
 
 def stands_in_d(targets: Targets, fallen_distance: float) -> Tensor:
