@@ -157,10 +157,15 @@ class Trajectory:
         return self.states[..., :3]
 
 
+def object_distances(first: Trajectory, second: Trajectory) -> np.ndarray:
+    """Return the time-averaged distance between two trajectories of each object that is in both, metres."""
+    distance = np.linalg.norm(first.positions - second.positions, axis=-1).mean(axis=0)
+    return distance[first.presence & second.presence]
+
+
 def trajectory_distance(first: Trajectory, second: Trajectory) -> float:
     """Return the largest time-averaged distance of an object between two trajectories, metres."""
-    distance = np.linalg.norm(first.positions - second.positions, axis=-1).mean(axis=0)
-    return float(distance[first.presence & second.presence].max())
+    return float(object_distances(first, second).max())
 
 
 FLOOR_EXTENT_M = 100.0
