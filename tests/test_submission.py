@@ -272,6 +272,13 @@ def test_a_template_can_be_scored_and_is_not_replaced(
     still = np.repeat(truth.initial[:, None], truth.position.shape[1], axis=1)
     expected = cophy.score(Predictions(truth.experiment, still), truth).means()
     assert cophy.score(read_predictions_file(path, truth), truth).means() == expected
+    if ending == "npz":
+        ids = np.load(path)["experiment"]
+    else:
+        from pyarrow import parquet
+
+        ids = parquet.read_table(path)["id"].to_numpy()
+    assert (np.diff(ids) >= 0).all()  # the order does not tell which are twins
     assert "exists: choose another name" in score(f"template={path}", data=tiny_data, code=1)
 
 

@@ -122,7 +122,7 @@ def read_test_split(experiments: ExperimentSet, scenario: Scenario, split: Split
 
 
 def write_template(path: Path, test: TestedSplit) -> None:
-    """Write a file of predictions with all ids, in which nothing moves, to be filled.
+    """Write a file of predictions with all ids, in which nothing moves, to be filled. Ids are sorted, so twins are not neighbours.
 
     Raises:
         CophyError: The name of the file ends in neither .npz nor .parquet, or it exists.
@@ -130,15 +130,17 @@ def write_template(path: Path, test: TestedSplit) -> None:
     if path.exists():
         raise CophyError(f"{path} exists: choose another name")
     truth, file = test.truth, io.BytesIO()
-    position = np.repeat(truth.initial[:, None], truth.position.shape[1], axis=1)
+    order = np.argsort(truth.experiment)
+    ids, presence = truth.experiment[order], truth.presence[order]
+    position = np.repeat(truth.initial[order][:, None], truth.position.shape[1], axis=1)
     if _is_table(path):
-        row, step, slot = np.nonzero(np.broadcast_to(truth.presence[:, None], position.shape[:3]))
-        columns = {"id": truth.experiment[row], "slot": slot, "frame": step + 1}
+        row, step, slot = np.nonzero(np.broadcast_to(presence[:, None], position.shape[:3]))
+        columns = {"id": ids[row], "slot": slot, "frame": step + 1}
         columns |= dict(zip(VALUES, position[row, step, slot].T, strict=True))
         arrow = _arrow(path)
         arrow.parquet.write_table(arrow.table(columns), file)
     else:
-        np.savez_compressed(file, experiment=truth.experiment, position=position)
+        np.savez_compressed(file, experiment=ids, position=position)
     write_atomically(path, file.getvalue())
 
 

@@ -158,7 +158,8 @@ def copy_shards(missing: Sequence[int], shards: ShardSet, files: Files) -> dict[
     if shards not in files:
         others = ", ".join(printable(name) for name in files.sets[:10]) or "no dataset"
         raise CophyError(
-            f"{files.title} has {others}, not {shards.place}: choose with size=, num_objects= and data_seed="
+            f"{files.title} has {others}, not {shards.place}: choose with size=, num_objects= and data_seed=; data of an "
+            "earlier format cannot be read, generate them again"
         )
     name = MANIFEST
     try:
