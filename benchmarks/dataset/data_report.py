@@ -6,12 +6,13 @@ Takes what generate.py takes, and prints a Markdown table with a column per data
 import time
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from cophy.audit.checks import share_with_effect
-from cophy.audit.resimulation import effect_of_double_rate
+from cophy.audit.resimulation import scenes_of
 from cophy.bootstrap import interval, mean
 from cophy.config import generated_by, settings
 from cophy.dataset.difficulty import stands, twin_differences
@@ -19,7 +20,8 @@ from cophy.dataset.features import to_batch
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import clusters_of, slots_in_order, sort_by_twins
 from cophy.models.baselines import CopyB, CopyC
-from cophy.scenario import Simulator
+from cophy.scenario import Scenario, Simulator
+from cophy.scenario.physics import Trajectory
 from cophy.schemas import register
 from cophy.scoring import Predictions, Truth, score
 from cophy.training.predictor import prediction_arrays
@@ -27,7 +29,8 @@ from cophy.training.predictor import prediction_arrays
 Arrays = dict[str, np.ndarray]
 Lines = Iterator[tuple[str, str]]  # name of a number, and the number
 
-SAMPLE = 40  # experiments that are resimulated and regenerated
+SAMPLE = 40  # experiments that are generated again
+NUM_CONVERGENCE = 100  # experiments that are simulated at three rates
 
 
 def main(*overrides: str) -> None:
@@ -56,12 +59,36 @@ def lines(arrays: Arrays, spec: DatasetSpec) -> Lines:
     with Simulator() as simulator:
         yield f"CPU-s per experiment, of {SAMPLE} regenerated", f"{seconds(spec, simulator):.3f}"
         yield f"simulations per experiment, of {SAMPLE} regenerated", f"{simulator.num_simulations / SAMPLE:.2f}"
-        rows = np.linspace(0, spec.num_experiments - 1, SAMPLE).astype(int).tolist()
-        changes = np.quantile(effect_of_double_rate(arrays, spec, rows, simulator), (0.5, 0.9))
-        yield (
-            f"objects in CD with the solver's rate doubled, of {SAMPLE}: median, 90 % (m)",
-            "{:.3f}, {:.3f}".format(*changes),
-        )
+        yield from convergence(arrays, spec, simulator)
+
+
+def convergence(arrays: Arrays, spec: DatasetSpec, simulator: Simulator) -> Lines:
+    """Yield the MSE of D between the solver's rate, twice and four times it, with standard errors, and whether towers still stand."""
+    scenario, starts, paths = spec.scenario, [], []
+    for row in np.linspace(0, spec.num_experiments - 1, NUM_CONVERGENCE).astype(int).tolist():
+        starts.append(scenes_of(arrays, row, scenario)[1])
+    for times in (1, 2, 4):
+        solver = replace(scenario.solver, step_rate_hz=times * scenario.solver.step_rate_hz)
+        paths.append([replace(scenario, solver=solver).simulate(simulator, start) for start in starts])
+    for times, coarse, fine in zip((1, 2), paths, paths[1:], strict=False):
+        error = [squared_distance(*both, scenario) for both in zip(coarse, fine, strict=True)]
+        text = f"{np.mean(error):.4f} ± {np.std(error, ddof=1) / np.sqrt(len(error)):.4f}"
+        yield f"MSE of D, {times}× to {2 * times}× the solver's rate, of {len(error)} (m²)", text
+    if scenario.statics is not None:
+        falls = [[has_fallen(path, scenario.statics.fallen_distance) for path in each] for each in paths]
+        yield "outcomes that are the same at all three rates", f"{np.mean(np.ptp(falls, axis=0) == 0):.1%}"
+
+
+def squared_distance(coarse: Trajectory, fine: Trajectory, scenario: Scenario) -> float:
+    """Return the MSE between two D, m², as of a prediction."""
+    stride, dims = scenario.clock.states_per_frame, scenario.task.metric_dims
+    difference = (coarse.positions - fine.positions)[stride::stride, coarse.presence, :dims]
+    return float(np.square(difference).mean())
+
+
+def has_fallen(path: Trajectory, fallen_distance: float) -> bool:
+    """Return whether a block is ever `fallen_distance` from its start, metres."""
+    return bool((np.linalg.norm(path.positions - path.positions[0], axis=-1) >= fallen_distance).any())
 
 
 def copy_baselines(arrays: Arrays, spec: DatasetSpec) -> Lines:
