@@ -163,7 +163,7 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "alongside_lead": partial(alongside_lead, results),
         "alongside_parts": partial(alongside_parts, results),
         "alongside_positions": partial(alongside_positions, results),
-        "claims": partial(claims, results),
+        "claims": partial(claims, {3: results, 4: format_4}),
         "format_4": partial(headlines, format_4),
         "checkpoints": partial(checkpoints, format_4),
         "derenderers": derenderers,

@@ -1,4 +1,4 @@
-"""The table of the paper's claims, from cophy/claims.yaml: numbers and counts come from format_3.csv."""
+"""The table of the paper's claims, from cophy/claims.yaml: numbers and counts come from format_3.csv, or results.csv (format 4)."""
 
 import re
 from collections.abc import Mapping
@@ -11,12 +11,13 @@ SIDES = {1: "for", -1: "against", 0: "open"}
 VERDICTS = REPRODUCED, NOT_REPRODUCED, CANNOT_BE_TOLD = "reproduced", "not reproduced", "cannot be told"
 
 
-def claims(results: Results) -> str:
+def claims(by_format: Mapping[int, Results]) -> str:
     """Return the table; the verdict of a comparison is computed, unless the claim has one."""
     rows = []
     for claim in yaml.safe_load((ROOT / "docs" / "cophy" / "claims.yaml").read_text()):
+        results = by_format[claim.get("format", 3)]
         facts = {"paper": "–"} | (compared(results, **claim["compare"]) if "compare" in claim else {}) | claim
-        ours = re.sub(r"\{([^}]*)\}", lambda found, facts=facts: value(results, found[1], facts), facts["ours"])
+        ours = re.sub(r"\{([^}]*)\}", lambda found, facts=facts, results=results: value(results, found[1], facts), facts["ours"])
         rows.append([facts["claim"], facts["paper"], ours, facts["verdict"]])
     return markdown(["claim", "paper", "ours", "verdict"], rows)
 

@@ -31,9 +31,9 @@ MIN_CONVERGED_SHARE = 0.9
 MAX_CONFIGURATIONS = 1000  # ours: configurations; more would take minutes for each twin pair
 ALIKE_M = 0.05  # ours: AB of two configurations look the same below this trajectory distance
 BEGINNINGS = (0.2, 0.4)  # ours: shares of AB after which configurations are dropped that already look different
-# ours: about 88 % of towers are identified (all combinations tried for 40 and 87 towers of 3). A twentieth of them stand in AB and
-# fall in CD, and AB does not determine how they fall
-MIN_IDENTIFIED = 0.85
+# ours: below what was found. Towers of 3: 88 % (127 of format 3); a twentieth stand in AB and fall in CD, and AB does not determine how.
+# Balls of 4: 78 % of 120, often because two balls never meet in AB. Collisions: 98 % of 40
+MIN_IDENTIFIED = {"blocktower": 0.85, "balls": 0.75, "collision": 0.85}
 MIN_OUTCOMES = 0.98  # ours: not 1, because A and C are stored rounded
 
 
@@ -115,7 +115,9 @@ def check_identifiability(arrays: Arrays, spec: DatasetSpec, num_pairs: int) -> 
         agreed = np.array([each for pair in bar for each in _agreements(arrays, spec, pair, enumerated, simulator)])
     outcome, trajectory = agreed.mean(axis=0)
     others = "all configurations" if enumerated else "configurations with one other value"
-    yield _check_share(f"AB identifies CD, among {others}", trajectory, MIN_IDENTIFIED, len(agreed), enumerated)
+    yield _check_share(
+        f"AB identifies CD, among {others}", trajectory, MIN_IDENTIFIED[spec.scenario.name], len(agreed), enumerated
+    )
     if spec.scenario.statics is not None:
         name = f"AB determines whether CD stands, among {others}"
         yield _check_share(name, outcome, MIN_OUTCOMES, len(agreed), enumerated)
