@@ -107,8 +107,8 @@ def test_a_limit_is_lowered_by_chance_alone() -> None:
 def test_sound_towers_pass_the_limit_in_samples_of_any_size() -> None:
     """About 88 % of towers are identified, so the limit has to be lower without the allowance for small samples."""
     for count in (40, 400, 4000, 40_000):
-        assert _check_share("", 0.88, MIN_IDENTIFIED, count, enumerated=True).passed
-    assert not _check_share("", 0.82, MIN_IDENTIFIED, 4000, enumerated=True).passed
+        assert _check_share("", 0.88, MIN_IDENTIFIED["blocktower"], count, enumerated=True).passed
+    assert not _check_share("", 0.82, MIN_IDENTIFIED["blocktower"], 4000, enumerated=True).passed
 
 
 def test_an_ab_that_reveals_nothing_fails(few_configurations: DatasetSpec, first_pair: dict) -> None:

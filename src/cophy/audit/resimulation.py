@@ -32,7 +32,7 @@ MAX_CONFIGURATIONS = 1000  # ours: configurations; more would take minutes for e
 ALIKE_M = 0.05  # ours: AB of two configurations look the same below this trajectory distance
 BEGINNINGS = (0.2, 0.4)  # ours: shares of AB after which configurations are dropped that already look different
 # ours: below what was found. Towers of 3: 88 % (127 of format 3); a twentieth stand in AB and fall in CD, and AB does not determine how.
-# Balls of 4: 78 % of 120, often because two balls never meet in AB. Collisions: 98 % of 40
+# Balls of 4: 78 % of 120. Collisions: 98 % of 40
 MIN_IDENTIFIED = {"blocktower": 0.85, "balls": 0.75, "collision": 0.85}
 MIN_OUTCOMES = 0.98  # ours: not 1, because A and C are stored rounded
 
