@@ -75,8 +75,8 @@ def convergence(arrays: Arrays, spec: DatasetSpec, simulator: Simulator) -> Line
         text = f"{np.mean(error):.4f} ± {np.std(error, ddof=1) / np.sqrt(len(error)):.4f}"
         yield f"MSE of D, {times}× to {2 * times}× the solver's rate, of {len(error)} (m²)", text
     if scenario.statics is not None:
-        falls = [[has_fallen(path, scenario.statics.fallen_distance) for path in each] for each in paths]
-        yield "outcomes that are the same at all three rates", f"{np.mean(np.ptp(falls, axis=0) == 0):.1%}"
+        standing = np.array([[scenario.statics.stands(path) for path in each] for each in paths])
+        yield "CD that stand, or fall, at all three rates", f"{np.mean((standing == standing[0]).all(axis=0)):.1%}"
 
 
 def squared_distance(coarse: Trajectory, fine: Trajectory, scenario: Scenario) -> float:
@@ -84,11 +84,6 @@ def squared_distance(coarse: Trajectory, fine: Trajectory, scenario: Scenario) -
     stride, dims = scenario.clock.states_per_frame, scenario.task.metric_dims
     difference = (coarse.positions - fine.positions)[stride::stride, coarse.presence, :dims]
     return float(np.square(difference).mean())
-
-
-def has_fallen(path: Trajectory, fallen_distance: float) -> bool:
-    """Return whether a block is ever `fallen_distance` from its start, metres."""
-    return bool((np.linalg.norm(path.positions - path.positions[0], axis=-1) >= fallen_distance).any())
 
 
 def copy_baselines(arrays: Arrays, spec: DatasetSpec) -> Lines:
