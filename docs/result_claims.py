@@ -17,7 +17,9 @@ def claims(by_format: Mapping[int, Results]) -> str:
     for claim in yaml.safe_load((ROOT / "docs" / "cophy" / "claims.yaml").read_text()):
         results = by_format[claim.get("format", 3)]
         facts = {"paper": "–"} | (compared(results, **claim["compare"]) if "compare" in claim else {}) | claim
-        ours = re.sub(r"\{([^}]*)\}", lambda found, facts=facts, results=results: value(results, found[1], facts), facts["ours"])
+        ours = re.sub(
+            r"\{([^}]*)\}", lambda found, facts=facts, results=results: value(results, found[1], facts), facts["ours"]
+        )
         rows.append([facts["claim"], facts["paper"], ours, facts["verdict"]])
     return markdown(["claim", "paper", "ours", "verdict"], rows)
 
