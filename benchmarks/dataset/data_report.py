@@ -63,7 +63,7 @@ def lines(arrays: Arrays, spec: DatasetSpec) -> Lines:
 
 
 def convergence(arrays: Arrays, spec: DatasetSpec, simulator: Simulator) -> Lines:
-    """Yield the MSE of D between the solver's rate, twice and four times it, with standard errors, and whether towers still stand."""
+    """Yield how far D changes, as an MSE with its standard error, if the solver's rate is doubled and doubled again."""
     scenario, starts, paths = spec.scenario, [], []
     for row in np.linspace(0, spec.num_experiments - 1, NUM_CONVERGENCE).astype(int).tolist():
         starts.append(scenes_of(arrays, row, scenario)[1])

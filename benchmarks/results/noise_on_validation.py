@@ -2,7 +2,7 @@
 
 python benchmarks/results/noise_on_validation.py checkpoints/collision_derenderer.ckpt RUN/checkpoints/best.ckpt ...
 
-Towers of three and collisions, size=small, data seed 0. Renders and de-renders AB and C of 300 validation experiments: five CPU-minutes.
+Towers of three and collisions, size=small, data seed 0. Renders and de-renders AB and C of 300 validation experiments, which takes minutes.
 """
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter

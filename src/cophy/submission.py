@@ -122,7 +122,7 @@ def read_test_split(experiments: ExperimentSet, scenario: Scenario, split: Split
 
 
 def write_template(path: Path, test: TestedSplit) -> None:
-    """Write a file of predictions with all ids, in which nothing moves, to be filled. Ids are sorted, so twins are not neighbours.
+    """Write a file of predictions in which nothing moves, to be filled. It is sorted by id, so that it does not tell which are twins.
 
     Raises:
         CophyError: The name of the file ends in neither .npz nor .parquet, or it exists.

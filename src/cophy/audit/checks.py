@@ -148,7 +148,7 @@ def _check_energy(arrays: Arrays, spec: DatasetSpec) -> Check:
         scenes, trajectories = scenes_of(arrays, row, spec.scenario), trajectories_of(arrays, row)
         gain = max(map(largest_energy_gain, scenes, trajectories))
         if gain > largest:
-            largest, worst = gain, row
+            largest, worst = gain, int(arrays["experiment"][row])
     limit = MAX_ENERGY_GAIN[spec.scenario.name]
     return Check(
         "no sequence gains energy", f"at most {largest:.2%} (experiment {worst}) ≤ {limit:.0%}", largest <= limit

@@ -23,16 +23,16 @@ from cophy.scenario.towers import read_tower
 
 # ours: falls and cylinders amplify the rounding of the stored A and C; 86 % of 400 sequences of four blocks are as stored
 MIN_RESIMULATED_SHARE = 0.85
-MIN_CHANGED_SHARE = 0.9  # ours
+MIN_CHANGED_SHARE = 0.9  # ours: of the pairs, and of min_difference
 MAX_STEP_EFFECT_M = 0.5  # ours: half an object
-# ours: the rest is chaotic. 97 % of the objects of four and of five balls, 92 % of those of six (n = 200 experiments). Of experiments
-# of six balls, all objects do in 76 %; from 960 to 1,920 Hz, in 82 %
+# ours: the rest is chaotic. 97 % of the objects in experiments with four and five balls move less, 92 % with six (200 experiments
+# each). In 76 % of those with six, every ball moves less; from 960 to 1,920 Hz, in 82 %
 MIN_CONVERGED_SHARE = 0.9
 MAX_CONFIGURATIONS = 1000  # ours: configurations; more would take minutes for each twin pair
 ALIKE_M = 0.05  # ours: AB of two configurations look the same below this trajectory distance
 BEGINNINGS = (0.2, 0.4)  # ours: shares of AB after which configurations are dropped that already look different
-# ours: below what was found. Towers of 3: 88 % (127 of format 3); a twentieth stand in AB and fall in CD, and AB does not determine how.
-# Balls of 4: 78 % of 120. Collisions: 98 % of 40
+# ours: below what was found. Towers of 3: 88 % of 80; a twentieth stand in AB and fall in CD, and AB does not determine how.
+# Balls of 4: 78 % of 120. Collisions: 98 % of 80
 MIN_IDENTIFIED = {"blocktower": 0.85, "balls": 0.75, "collision": 0.85}
 MIN_OUTCOMES = 0.98  # ours: not 1, because A and C are stored rounded
 
