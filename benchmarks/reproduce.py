@@ -49,12 +49,12 @@ HEADLINE = {
 }
 UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay", "spheres"]
 TREES = ["trees", "trees_confounders"]
-NETWORKS = ["in", "npe", "cophynet", "alongside", "alongside_canonical", "alongside_statics", "in_sup"]
+NETWORKS = ["in", "npe", "cophynet", "alongside", "alongside_canonical", "hypotheses", "in_sup"]
 ONLY = {  # rows of one scenario
     "replay": "collision",
     "spheres": "balls",
     "alongside_canonical": "collision",
-    "alongside_statics": "blocktower",
+    "hypotheses": "blocktower",
 }
 ONCE = [
     "cophynet_adam",
@@ -65,7 +65,7 @@ ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_veloci
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # of the possible gain
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
 # rows with more than one training seed on every split
-SEEDED = ["in", "cophynet", "alongside", "alongside_canonical", "alongside_statics", "gns", "transformer"]
+SEEDED = ["in", "cophynet", "alongside", "alongside_canonical", "hypotheses", "gns", "transformer"]
 SEEDS, DATA_SEEDS = (0, 1, 2), {"small": (0, 1)}  # data seed 0 alone for other sizes
 DERENDERER = "derenderer"
 # split and changes, so that one has seen all numbers of objects of a scenario

@@ -20,7 +20,7 @@ from torch import Tensor
 import cophy
 from cophy.config import folder
 from cophy.dataset.features import to_batch
-from cophy.models.statics import LearnedStatics
+from cophy.models.hypotheses import Towers, find_joints, yaw_of
 from cophy.models.trees import Trees
 from cophy.scenario import Blocktower
 from cophy.training.metrics import mean_squared_error
@@ -82,12 +82,10 @@ def moved_blocks(batch: Batch, order: Int[Tensor, "batch 3"]) -> np.ndarray:
 
 def margins_of_c(arrays: Mapping[str, np.ndarray], inputs: Inputs, with_yaw: bool) -> Tensor:
     """Return how far each C is from toppling under the true masses and gravity, metres."""
-    mass = torch.from_numpy(arrays["mass"]).float()[..., None]
+    mass = torch.from_numpy(arrays["mass"]).float()[:, None]
     tilt = torch.from_numpy(arrays["gravity"][:, :2] / -arrays["gravity"][:, 2:]).float()[:, None]
-    statics = LearnedStatics(1, 1, block_size=1.0)
-    features = statics(inputs.initial, inputs.presence, mass, tilt, inputs.pose if with_yaw else None)
-    smallest_margin = features[..., 5]  # after two points and the margin of the joint
-    return torch.where(inputs.presence, smallest_margin, torch.inf).amin(dim=1)
+    yaw = yaw_of(inputs.pose) if with_yaw and inputs.pose is not None else None
+    return find_joints(Towers(inputs.initial, inputs.presence, yaw, mass, tilt)).margin[:, 0].amin(dim=1)  # blocks of 1 m
 
 
 def stands_in_d(targets: Targets, fallen_distance: float) -> Tensor:

@@ -88,7 +88,7 @@ def test_the_parts_have_what_their_tables_need(reproduce: ModuleType) -> None:
     assert not any(row.startswith(("oracle", "noise_floor")) for _, _, row, _ in cells)
     estimated = {key for job in reproduce.estimated_jobs("small") for key in job.command if key.startswith("+row=")}
     assert "+row=alongside" in estimated
-    assert "+row=alongside_statics" not in estimated  # no de-renderer estimates yaw
+    assert "+row=hypotheses" not in estimated  # no de-renderer estimates yaw
     curves = [job.command for job in reproduce.curve_jobs("small")]
     assert {key for command in curves for key in command if "num_experiments" in key} == {
         "training.num_experiments=700"

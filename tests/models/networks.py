@@ -6,7 +6,17 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from cophy.models import GNS, Alongside, CoPhyNet, CopyB, CopyC, DisplacedCopyB, InteractionNetwork, Transformer
+from cophy.models import (
+    GNS,
+    Alongside,
+    CoPhyNet,
+    CopyB,
+    CopyC,
+    DisplacedCopyB,
+    Hypotheses,
+    InteractionNetwork,
+    Transformer,
+)
 from cophy.types import CONFOUNDERS, OBJECT_TYPES, POSE, SLOT_AXIS, Batch, Inputs, Prediction, Targets
 
 NUM_FRAMES = 7
@@ -53,7 +63,6 @@ ALONGSIDES: dict[str, dict[str, Any]] = {
     "alongside_no_replay": {"replay": False},
     "alongside_no_impulses": {"impulses": False},
     "alongside_no_pair_memory": {"pair_memory": False},
-    "alongside_statics": {"hypotheses": 3, "block_size": 1.0},
 }
 GNS_ARGUMENTS = {
     "hidden_dim": HIDDEN_DIM,
@@ -65,11 +74,13 @@ GNS_ARGUMENTS = {
     "node_layers": 2,
     "arena_half_width": None,
 }
+HYPOTHESES = {"hidden_dim": HIDDEN_DIM, "num_frames": NUM_FRAMES, "block_size": 1.0, "pose": False}
 TRANSFORMER = {"hidden_dim": HIDDEN_DIM, "num_layers": 2, "num_heads": 3}
 OTHERS: dict[str, tuple[type[nn.Module], dict[str, Any]]] = {
     "gns": (GNS, GNS_ARGUMENTS),
     "gns_walls": (GNS, GNS_ARGUMENTS | {"arena_half_width": 2.0}),
     "transformer": (Transformer, TRANSFORMER),
+    "hypotheses": (Hypotheses, HYPOTHESES),
 }
 TRAINED = (*COPHYNETS, *INTERACTION_NETWORKS, *ALONGSIDES, *OTHERS)
 SEES_APPEARANCE = {"object_type": True, "pose": True}
@@ -86,6 +97,8 @@ def build(name: str, **changes: Any) -> nn.Module:
         return Alongside(**ALONGSIDE | ALONGSIDES[name] | changes)
     if name in OTHERS:
         kind, arguments = OTHERS[name]
+        if name == "hypotheses":  # for towers, whose objects have one type
+            changes.pop("object_type", None)
         return kind(**arguments | changes)
     return {"copy_b": CopyB, "copy_c": CopyC, "copy_b_displaced": DisplacedCopyB}[name]()
 

@@ -15,7 +15,7 @@ from tests.models.test_baselines import REPLAY
 from tests.models.test_spheres import ARGUMENTS
 
 MODELS: dict[str, Callable[..., nn.Module]] = {
-    **{name: partial(networks.build, name) for name in ("alongside", "cophynet", "npe")},
+    **{name: partial(networks.build, name) for name in ("alongside", "cophynet", "hypotheses", "npe")},
     "derenderer": lambda **key: Derenderer(
         **{"slots": ["red"], "resolution": 32, "width": 4, "readout": "linear"} | key
     ),
@@ -42,6 +42,12 @@ REFUSED: dict[str, list[tuple[str, Any, str]]] = {  # key, value, and the rest o
         ("confounders", "guessed", "must be one of estimated, ground_truth, without_pose, none"),
         ("interaction", "mlp", "needs model.slots"),
         ("decoding", "single_step", "needs model.num_frames"),
+    ],
+    "hypotheses": [
+        ("hidden_dim", 0, "must be at least 1"),
+        ("num_frames", 1, "must be at least 2"),
+        ("block_size", 0.0, "must be positive"),
+        ("block_size", None, "model=hypotheses predicts towers"),
     ],
     "npe": [
         ("edge_layers", 1, "must be at least 2"),

@@ -27,9 +27,9 @@ READ_AB = (
     "single_step",
     "alongside",
     "alongside_no_replay",
-    "alongside_statics",
     "gns",
     "transformer",
+    "hypotheses",
 )
 DECLARE_APPEARANCE = (*COPHYNETS, *INTERACTION_NETWORKS, "alongside", "gns", "transformer")
 

@@ -15,6 +15,7 @@ _MODULES = {
     "DisplacedCopyB": "baselines",
     "FittedSpheres": "spheres",
     "GNS": "gns",
+    "Hypotheses": "hypotheses",
     "InteractionNetwork": "baselines",
     "Replay": "baselines",
     "Transformer": "transformer",

@@ -18,8 +18,6 @@ and gains no energy. Sums are over all other objects: the network learns that im
 The initial velocity v_0 is the first motion of AB plus a learned correction. No object moves farther in a step than
 `max_step`, because a rollout can diverge, early in training or with more objects than in training: Δ_t and v_{t+1} are
 scaled by one factor. v_{t+1} itself is not clipped: later corrections can cancel it, so the network may use it as memory.
-
-With `hypotheses`, n_t also has how A and C would rest (`cophy.models.statics`): for towers.
 """
 
 from dataclasses import dataclass
@@ -44,7 +42,6 @@ from cophy.models.layers import (
     pack,
     unpack,
 )
-from cophy.models.statics import LearnedStatics
 from cophy.types import Inputs, Prediction
 
 MAX_HEIGHT_M = 2.0  # ours: of blocks above it, one in 112,938 is near the ground 0.2 s later (3,000 towers)
@@ -276,8 +273,6 @@ class Alongside(nn.Module):
         pair_memory: bool,
         object_type: bool,
         pose: bool,
-        hypotheses: int = 0,
-        block_size: float | None = None,
         canonical_frame: str | None = None,
     ) -> None:
         """Build encoder and decoder.
@@ -293,8 +288,6 @@ class Alongside(nn.Module):
             pair_memory: Whether the decoder sees r.
             object_type: Whether the model sees the type of each object.
             pose: Whether the model sees the orientation of each object at t = 0.
-            hypotheses: Hypotheses of masses and gravity under which statics is computed; 0 for none.
-            block_size: Edge of a block, metres; None where objects are no blocks, and there is no statics.
             canonical_frame: Name of the scenario whose symmetries are removed from the positions (`cophy.models.frames`);
                 None for positions as they are.
 
@@ -303,9 +296,7 @@ class Alongside(nn.Module):
         """
         super().__init__()
         check_at_least(1, hidden_dim=hidden_dim)
-        check_at_least(0, hypotheses=hypotheses)
         check_layers(2, edge_layers=edge_layers)
-        check_positive(block_size=block_size)
         check_positive(temperature=temperature, arena_half_width=arena_half_width, max_step=max_step)
         check_frame(canonical_frame, sees_more=pose)
         self.canonical_frame = canonical_frame
@@ -315,11 +306,7 @@ class Alongside(nn.Module):
         self.contacts = Contacts()
         self.history = History(self.ego, self.contacts, hidden_dim, edge_layers)
         self.memory = PairMemory(hidden_dim) if pair_memory else None
-        self.statics = None
-        if hypotheses and block_size is not None:
-            self.statics = LearnedStatics(2 * hidden_dim, hypotheses, block_size)
         node_dim = self.ego.width + 9 + 2 * hidden_dim  # offset from AB, two motions of AB, h
-        node_dim += 2 * self.statics.width if self.statics else 0  # of A and of C
         relation_dim = 2 * OFFSET_DIM + CONTACT_DIM + hidden_dim * pair_memory
         self.messages = PairwiseMLP(node_dim, hidden_dim, layers=edge_layers, relation_dim=relation_dim)
         self.push = nn.Linear(hidden_dim, 3) if impulses else None
@@ -351,14 +338,13 @@ class Alongside(nn.Module):
         both_present = graph.pair_weights > 0
         both_seen = others(inputs.observed_presence)[..., None] & inputs.observed_presence[:, None, :, None]
         memory = [] if self.memory is None else [self.memory(observed_messages) * both_seen]
-        statics = self._rest(history, inputs)
         velocity = motion[:, 0] + self.launch(torch.cat([history[:, 0], motion[:, 0]], dim=-1)) * seen
         position, state = inputs.initial, None
         positions, logits = [], []
         for step in range(inputs.num_steps):
             ego = self.ego.compute(position, velocity, self.contacts.reach, inputs)
             offset = (position - ab[:, step]) * seen
-            nodes = torch.cat([ego, offset, motion[:, step], after[:, step], history[:, step + 1], *statics], dim=-1)
+            nodes = torch.cat([ego, offset, motion[:, step], after[:, step], history[:, step + 1]], dim=-1)
             contact = self.contacts(position, velocity)
             relations = [offsets(position), offsets(ab[:, step]), contact.features()]
             messages = self.messages(nodes, torch.cat([*relations, *memory], dim=-1))
@@ -380,15 +366,3 @@ class Alongside(nn.Module):
             positions.append(position)
             logits.append(logit)
         return Prediction(torch.stack(positions, dim=1), torch.stack(logits, dim=1).squeeze(-1))
-
-    def _rest(
-        self, history: Float[Tensor, "batch time slots twice_hidden"], inputs: Inputs
-    ) -> list[Float[Tensor, "batch slots any"]]:
-        """Return how A and C would rest under the hypotheses that AB suggests; nothing without statics."""
-        if self.statics is None:
-            return []
-        forwards, backwards = history.chunk(2, dim=-1)
-        encoded = torch.cat([forwards[:, -1], backwards[:, 0]], dim=-1)  # both have seen all of AB
-        mass, tilt = self.statics.hypotheses(encoded, inputs.observed_presence)
-        towers = ((inputs.observed[:, 0], inputs.observed_presence), (inputs.initial, inputs.presence))
-        return [self.statics(position, presence, mass, tilt, inputs.pose) for position, presence in towers]
