@@ -56,6 +56,7 @@ ONLY = {  # rows of one scenario
     "alongside_canonical": "collision",
     "hypotheses": "blocktower",
 }
+NEWER = ["gns", "transformer", "cophynet_canonical"]  # on the default splits alone
 ONCE = [
     "cophynet_adam",
     "in_without_pose",
@@ -65,7 +66,7 @@ ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_veloci
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # of the possible gain
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
 # rows with more than one training seed on every split
-SEEDED = ["in", "cophynet", "alongside", "alongside_canonical", "hypotheses", "gns", "transformer"]
+SEEDED = ["in", "cophynet", "alongside", "alongside_canonical", "hypotheses", *NEWER]
 SEEDS, DATA_SEEDS = (0, 1, 2), {"small": (0, 1)}  # data seed 0 alone for other sizes
 DERENDERER = "derenderer"
 # split and changes, so that one has seen all numbers of objects of a scenario
@@ -170,6 +171,7 @@ def headline_jobs(size: str) -> Iterator[Job]:
     for seed, data_seed, (scenario, splits) in product(SEEDS, data_seeds(size), HEADLINE.items()):
         for split in splits:
             rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]
+            rows += NEWER if split == splits[0] else []
             for row in [*rows, *ONCE] if seed == data_seed == 0 and split == splits[0] else rows:
                 if ONLY.get(row, scenario) == scenario:
                     yield run_job(scenario, split, row, size, seed, data_seed)

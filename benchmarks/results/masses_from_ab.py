@@ -85,7 +85,8 @@ def margins_of_c(arrays: Mapping[str, np.ndarray], inputs: Inputs, with_yaw: boo
     mass = torch.from_numpy(arrays["mass"]).float()[:, None]
     tilt = torch.from_numpy(arrays["gravity"][:, :2] / -arrays["gravity"][:, 2:]).float()[:, None]
     yaw = yaw_of(inputs.pose) if with_yaw and inputs.pose is not None else None
-    return find_joints(Towers(inputs.initial, inputs.presence, yaw, mass, tilt)).margin[:, 0].amin(dim=1)  # blocks of 1 m
+    margins = find_joints(Towers(inputs.initial, inputs.presence, yaw, mass, tilt)).margin  # edges are 1 m
+    return margins[:, 0].amin(dim=1)
 
 
 def stands_in_d(targets: Targets, fallen_distance: float) -> Tensor:
