@@ -108,7 +108,7 @@ def test_hypotheses_are_all_combinations_of_two_masses_and_nine_tilts() -> None:
     with torch.no_grad():
         network.log_ratio.fill_(np.log(10))
         network.tilt.fill_(0.1)
-    mass, tilt = network._combinations(3)
+    mass, tilt = network.combinations(3)
     assert len({*map(tuple, torch.cat([mass, tilt], dim=1).tolist())}) == 2**3 * 9
     torch.testing.assert_close(mass.amax() / mass.amin(), torch.tensor(10.0))
     assert {*np.round(tilt.flatten().tolist(), 3)} == {-0.1, 0.0, 0.1}

@@ -10,6 +10,7 @@ import torch
 from cophy.config import composed, to_plain
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
+from cophy.scenario import Shape
 from cophy.schemas import SCENARIOS
 from cophy.training.trained import (
     DERENDERER,
@@ -52,7 +53,6 @@ def test_a_checkpoint_holds_its_network_and_its_scenario(tmp_path: Path) -> None
         ({"_target_": DERENDERER}, "is a checkpoint of a de-renderer, not of a predictor"),
         ({"_target_": "cophy.models.cophynet.torch.hub.load"}, "cannot be imported"),
         ({"confounders": "ground_truth"}, "needs the true confounders"),
-        ({"object_type": True}, "has model.object_type=true, which no de-renderer estimates"),
         ({"hidden_dim": 4}, "does not fit cophy.models.cophynet.CoPhyNet as it is now"),
         ({"_partial_": True}, "is not an argument of a network"),
         ({"hidden_dim": "wide"}, r"a\.ckpt was not written"),
@@ -66,6 +66,25 @@ def test_a_checkpoint_of_anything_else_is_refused(tmp_path: Path, changes: dict[
     path = saved(tmp_path / "a.ckpt", SMALL | changes, weights_of(SMALL))
     with pytest.raises(CophyError, match=message):
         predictor_of(path)
+
+
+def test_a_predictor_sees_the_poses_that_it_declares_and_no_derenderer_goes_with_it(tmp_path: Path) -> None:
+    model = SMALL | {"pose": True}
+    predictor = predictor_of(saved(tmp_path / "a.ckpt", model, weights_of(model)))
+    generator, slots = torch.Generator().manual_seed(0), len(predictor.scenario.colors)
+    states = torch.randn(2, 2, 117, slots, 13, generator=generator)
+    states[..., 3:7] /= states[..., 3:7].norm(dim=-1, keepdim=True)
+    experiments = {
+        "states": states,
+        "presence": torch.ones(2, 2, slots, dtype=torch.bool),
+        "shape": torch.full((2, slots), int(Shape.CYLINDER)),
+    }
+    turned = states.clone()
+    turned[:, 0, 0, :, 3:7] = torch.tensor([0.0, 0.0, 0.0, 1.0])
+    difference = predictor(experiments) - predictor(experiments | {"states": turned})
+    assert difference.abs().max() > 1e-5
+    with pytest.raises(CophyError, match=r"a\.ckpt has model\.pose=true, which no de-renderer estimates"):
+        check_pair(make_derenderer(tmp_path), predictor)
 
 
 class Scaled(CopyC):

@@ -4,6 +4,7 @@ Optional inputs (confounders, object types, poses) are filled only if the model 
 """
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -133,11 +134,13 @@ def to_batch(
     if "confounders" in declared:
         assert statistics is not None
         inputs.confounders = standardised(confounder_features(arrays), targets.observed_presence, statistics)
-    if "object_type" in declared and not estimated:
-        inputs.object_type = object_types(arrays)
-    if "pose" in declared and not estimated:
-        inputs.pose = poses(arrays)
-    return Batch(inputs, targets)
+    return Batch(inputs if estimated else add_appearance(inputs, arrays, declared), targets)
+
+
+def add_appearance(inputs: Inputs, arrays: Arrays, declared: Collection[str]) -> Inputs:
+    """Return the inputs with object types and poses, where they are declared (`declared_inputs`)."""
+    computed = {"object_type": object_types, "pose": poses}
+    return replace(inputs, **{name: compute(arrays) for name, compute in computed.items() if name in declared})
 
 
 def true_inputs(arrays: Arrays) -> Inputs:

@@ -223,48 +223,55 @@ class Hypotheses(nn.Module):
         return unpack(self._predict(packed), slots, inputs.presence.shape[1])
 
     def _predict(self, inputs: Inputs) -> Prediction:
-        ab, seen, yaw = inputs.observed, inputs.observed_presence, None
-        if self.pose:
-            if inputs.pose is None:
-                raise ValueError("pose is not among the inputs: a model needs pose: true for it")
-            yaw = yaw_of(inputs.pose)
-        mass, tilt = self._combinations(ab.shape[2])
-        encoded, outcome, axes = self._outcomes(Towers(ab[:, 0] / self.block_size, seen, yaw, mass, tilt))
+        log_weight, (position, logit) = self.weigh(inputs), self.outcomes(inputs)
+        mean = torch.einsum("bh,bhtkx->btkx", log_weight.exp(), position)
+        log_stable, log_moves = (
+            (log_weight[..., None, None] + logsigmoid(each)).logsumexp(dim=1) for each in (logit, -logit)
+        )
+        return Prediction(mean, stable_logit=log_stable - log_moves)
+
+    def combinations(self, slots: int) -> tuple[Float[Tensor, "hypotheses {slots}"], Float[Tensor, "hypotheses 2"]]:
+        """Return masses, light times heavy is 1, and tilts of all hypotheses."""
+        signs = torch.tensor(list(product(*[(-1.0, 1.0)] * slots, *[(-1.0, 0.0, 1.0)] * 2))).to(self.tilt)
+        return (signs[:, :slots] * self.log_ratio / 2).exp(), signs[:, slots:] * self.tilt
+
+    def weigh(self, inputs: Inputs) -> Float[Tensor, "batch hypotheses"]:
+        """Return the logarithm of the weight of each hypothesis, in the order of `combinations`."""
+        ab, seen = inputs.observed, inputs.observed_presence
+        encoded, outcome, axes = self._encode(ab[:, 0], seen, inputs)
         motion = (ab - ab[:, :1])[:, 1:] / self.block_size
         xy = torch.einsum("btkx,bhax->bhkta", motion[..., :2], axes)
         z = motion[..., 2].transpose(1, 2)[:, None, ..., None].expand(*xy.shape[:-1], 1)
         shown = torch.cat([xy, z], dim=-1)
         evidence = [torch.asinh(each / SMALL).flatten(3) / 3 for each in (shown, shown - outcome[..., :3])]
         score = self.evidence(torch.cat([encoded, *evidence], dim=-1)).squeeze(-1)
-        log_weight = (score * seen[:, None]).sum(dim=2).log_softmax(dim=1)
+        return (score * seen[:, None]).sum(dim=2).log_softmax(dim=1)
 
-        towers = Towers(inputs.initial / self.block_size, inputs.presence, yaw, mass, tilt)
-        _, outcome, axes = self._outcomes(towers)
-        weight, logit = log_weight.exp(), outcome[..., 3]
-        xy = torch.einsum("bh,bhkta,bhax->btkx", weight, outcome[..., :2], axes)
-        z = torch.einsum("bh,bhktz->btkz", weight, outcome[..., 2:3])
-        position = inputs.initial[:, None] + self.block_size * torch.cat([xy, z], dim=-1)
-        log_stable, log_moves = (
-            (log_weight[..., None, None] + logsigmoid(each)).logsumexp(dim=1).transpose(1, 2)
-            for each in (logit, -logit)
-        )
-        return Prediction(position, stable_logit=log_stable - log_moves)
+    def outcomes(
+        self, inputs: Inputs
+    ) -> tuple[Float[Tensor, "batch hypotheses steps slots 3"], Float[Tensor, "batch hypotheses steps slots"]]:
+        """Return positions in D under each hypothesis, metres, and logits of being stable."""
+        _, outcome, axes = self._encode(inputs.initial, inputs.presence, inputs)
+        xy, z = torch.einsum("bhkta,bhax->bhtkx", outcome[..., :2], axes), outcome[..., 2:3].transpose(2, 3)
+        position = inputs.initial[:, None, None] + self.block_size * torch.cat([xy, z], dim=-1)
+        return position, outcome[..., 3].transpose(2, 3)
 
-    def _combinations(self, slots: int) -> tuple[Float[Tensor, "hypotheses {slots}"], Float[Tensor, "hypotheses 2"]]:
-        """Return masses, light times heavy is 1, and tilts of all hypotheses."""
-        signs = torch.tensor(list(product(*[(-1.0, 1.0)] * slots, *[(-1.0, 0.0, 1.0)] * 2))).to(self.tilt)
-        return (signs[:, :slots] * self.log_ratio / 2).exp(), signs[:, slots:] * self.tilt
-
-    def _outcomes(
-        self, towers: Towers
+    def _encode(
+        self, position: Float[Tensor, "batch slots 3"], presence: Bool[Tensor, "batch slots"], inputs: Inputs
     ) -> tuple[
         Float[Tensor, "batch hypotheses slots hidden"],
         Float[Tensor, "batch hypotheses slots steps 4"],
         Float[Tensor, "batch hypotheses 2 2"],
     ]:
         """Return features of blocks, their motion in edges and logits of being stable, and the axes of the frame."""
+        yaw = None
+        if self.pose:
+            if inputs.pose is None:
+                raise ValueError("pose is not among the inputs: a model needs pose: true for it")
+            yaw = yaw_of(inputs.pose)
+        towers = Towers(position / self.block_size, presence, yaw, *self.combinations(presence.shape[1]))
         features, axes = describe(towers)
-        blocks, present = self.block(features), towers.presence[:, None, :, None]
+        blocks, present = self.block(features), presence[:, None, :, None]
         mean = (blocks * present).sum(dim=2, keepdim=True) / present.sum(dim=2, keepdim=True).clamp(min=1)
         encoded = blocks + self.tower(torch.cat([blocks, mean.expand_as(blocks)], dim=-1))
         return encoded, self.outcome(encoded).unflatten(-1, (-1, 4)), axes

@@ -18,7 +18,14 @@ from torch import Tensor, nn
 from cophy.dataset import generation
 from cophy.dataset.estimates import Estimates
 from cophy.dataset.experiment_set import ExperimentSet, NeededFrames
-from cophy.dataset.features import declared_inputs, estimated_inputs, not_derendered, reduce_to_frames, true_inputs
+from cophy.dataset.features import (
+    add_appearance,
+    declared_inputs,
+    estimated_inputs,
+    not_derendered,
+    reduce_to_frames,
+    true_inputs,
+)
 from cophy.dataset.frames import to_image
 from cophy.dataset.images import Images
 from cophy.dataset.shards import ShardSet
@@ -177,6 +184,7 @@ class TrainedPredictor:
             experiments of this one.
         data_seed: Their seed.
         positions: Where its training positions come from, see conf/train.yaml.
+        appearance: What it sees besides positions: object_type, pose.
         network: From `Inputs` to `Prediction`.
     """
 
@@ -191,11 +199,10 @@ class TrainedPredictor:
         declared = declared_inputs(model)
         if "confounders" in declared:
             raise CophyError(f"predictor={source} needs the true confounders, which no image shows")
-        if keys := not_derendered(declared):
-            raise CophyError(f"predictor={source} has {keys}, which no de-renderer estimates")
         name = origin["scenario"]["name"]
         if name not in scenarios:
             raise CophyError(f"predictor={source} was trained on the scenario {name}, which does not exist here")
+        self.appearance = declared
         self.source, self.data_seed, self.positions = source, origin["data_seed"], str(origin["positions"])
         self.size = str(origin["size"].get("name"))
         self.scenario: Scenario = _typed(scenarios[name], origin["scenario"], source)
@@ -207,14 +214,15 @@ class TrainedPredictor:
         """Predict D of each experiment from AB and C.
 
         Args:
-            experiments: `states` and `presence` of some experiments, as a DataLoader batches those of `cophy.load`.
-                Of CD only C is used.
+            experiments: `states`, `presence` and `shape` of some experiments, as a DataLoader batches those of
+                `cophy.load`. Of CD only C is used, `shape` only by a model that sees types or poses of objects.
 
         Returns:
             Positions in the frames after C, metres; zero in slots that are empty in C.
         """
-        arrays = {name: experiments[name].numpy() for name in ("states", "presence")}
-        inputs = true_inputs(reduce_to_frames(arrays, self.scenario))
+        names = ("states", "presence", *["shape"] * bool(self.appearance))
+        arrays = reduce_to_frames({name: experiments[name].numpy() for name in names}, self.scenario)
+        inputs = add_appearance(true_inputs(arrays), arrays, self.appearance)
         with torch.no_grad():
             return self.network(inputs).position * inputs.presence[:, None, :, None]
 
@@ -246,7 +254,9 @@ class Counterfactual(NamedTuple):
 
 
 def check_pair(derenderer: TrainedDerenderer, predictor: TrainedPredictor) -> None:
-    """Check that a de-renderer and a predictor were trained on the same scenario with the same colours."""
+    """Check that a predictor sees positions alone, and was trained on the de-renderer's scenario with the same colours."""
+    if keys := not_derendered(predictor.appearance):
+        raise CophyError(f"predictor={predictor.source} has {keys}, which no de-renderer estimates")
     if derenderer.scenario != predictor.scenario.name:
         raise CophyError(
             f"the de-renderer was trained on {derenderer.scenario}, the predictor on {predictor.scenario.name}"
