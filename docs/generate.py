@@ -165,6 +165,7 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "alongside_positions": partial(alongside_positions, results),
         "claims": partial(claims, {3: results, 4: format_4}),
         "format_4": partial(headlines, format_4),
+        "format_4_splits": partial(small_splits, format_4),
         "checkpoints": partial(checkpoints, format_4),
         "derenderers": derenderers,
         "columns": column_meanings,
@@ -321,6 +322,19 @@ def of_paper_cell(results: Results, table: PaperTable, names: dict[str, str], nu
         return cell.short(digits, table.scale)
     printed = f"{number:g}" if names["metric"].startswith("pixel") else f"{number:.{digits}f}"
     return cell.short(digits, table.scale) + f" *({printed})*"
+
+
+def small_splits(results: Results) -> str:
+    """Test MSE at size=small and data seed 0: a table per scenario, methods × splits."""
+    parts = []
+    for scenario in SCENARIOS:
+        splits, rows = columns(scenario), []
+        for method in (*BASELINES, *LEARNED, "alongside_noisy", *NEWER, *TOLD_MORE):
+            cells = [results.cell("mse", scenario, split, method, size="small", change=OF_ORACLES) for split in splits]
+            if any(cells):
+                rows.append([title(method), *(cell.marked() if cell else NOTHING for cell in cells)])
+        parts.append(markdown([f"{SCENARIOS[scenario]}, test MSE, m²", *splits.values()], rows))
+    return "\n\n".join(parts)
 
 
 def headlines(results: Results) -> str:
