@@ -65,7 +65,7 @@ ONCE = [
 ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # of the possible gain
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
-# rows with more than one training seed on every split
+# rows with more than one training seed on every split of size=small; other sizes have more than one on those of HEADLINE alone
 SEEDED = ["in", "cophynet", "alongside", "alongside_canonical", "hypotheses", *NEWER]
 SEEDS, DATA_SEEDS = (0, 1, 2), {"small": (0, 1)}  # data seed 0 alone for other sizes
 DERENDERER = "derenderer"
@@ -186,9 +186,9 @@ def oracle_jobs(size: str) -> Iterator[Job]:
 
 
 def row_jobs(size: str) -> Iterator[Job]:
-    """Every method of the paper's tables and beyond on every split: first one seed, then those of SEEDED."""
+    """Every method of the paper's tables and beyond on every split: first one seed, then at size=small those of SEEDED."""
     for seed, (scenario, split, row, _) in product(SEEDS, table_rows(estimated=False)):
-        if seed == 0 or row in SEEDED:
+        if seed == 0 or (size == "small" and row in SEEDED):
             yield run_job(scenario, split, row, size, seed)
 
 
