@@ -51,9 +51,10 @@ HEADLINES = [
     *(("collision", split) for split in ("all", "sphere_to_cylinder", "cylinder_to_sphere")),
 ]
 BASELINES = ("copy_c", "copy_b", "copy_b_displaced", "replay", "trees")
-NEWER = ("cophynet_adam", "cophynet_canonical", "gns", "transformer", "alongside_canonical", "hypotheses")
+NEWER = ("cophynet_adam", "cophynet_canonical", "gns", "transformer", "alongside_canonical")
 OF_ORACLES = r"(\+max_experiments-\d+)?"  # what their runs change: on how many test experiments they are asked
 TOLD_MORE = (
+    "hypotheses",
     "in_sup",
     "in_without_pose",
     "cophynet_without_pose",

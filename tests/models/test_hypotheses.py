@@ -7,10 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from cophy.models.hypotheses import MAX_MARGIN, Towers, describe, find_joints
+from cophy.dataset.features import poses
+from cophy.models.hypotheses import MAX_MARGIN, NEAR, Towers, describe, find_joints, yaw_of
+from cophy.scenario import Shape
 from cophy.scenario.statics import joint_margins
-from cophy.types import POSE, POSE_ANGLES, Inputs
-from tests.models.networks import build, present_positions, random_batch
+from cophy.types import Inputs, take
+from tests.models.networks import NUM_FRAMES, build, present_positions, random_batch
 
 
 def random_towers(levels: int, *, is_turned: bool, count: int = 50) -> Towers:
@@ -114,6 +116,101 @@ def test_hypotheses_are_all_combinations_of_two_masses_and_nine_tilts() -> None:
     assert {*np.round(tilt.flatten().tolist(), 3)} == {-0.1, 0.0, 0.1}
 
 
+def test_features_turn_with_the_tower() -> None:
+    """Any rotation of positions, yaws and tilts leaves the features as they are and turns their frame."""
+    towers, angle = random_towers(4, is_turned=True), torch.tensor(0.7)
+    matrix = torch.stack([torch.stack([angle.cos(), -angle.sin()]), torch.stack([angle.sin(), angle.cos()])])
+    assert towers.yaw is not None
+    turned = towers._replace(
+        position=torch.cat([towers.position[..., :2] @ matrix.T, towers.position[..., 2:]], dim=-1),
+        yaw=towers.yaw + angle,
+        tilt=towers.tilt @ matrix.T,
+    )
+    (features, axes), (found, found_axes) = describe(towers), describe(turned)
+    torch.testing.assert_close(found, features, atol=1e-4, rtol=0)
+    torch.testing.assert_close(found_axes, axes @ matrix.T, atol=1e-4, rtol=0)
+
+
+def test_a_load_topples_by_torque_over_inertia() -> None:
+    """Blocks of masses 1 and 10 above each other, both 0.55 to the right of the block below, whose edge is at 0.5."""
+    position = torch.tensor([[[0.0, 0.0, 0.5], [0.55, 0.0, 1.5], [0.55, 0.0, 2.5]]])
+    towers = Towers(
+        position,
+        torch.ones(1, 3, dtype=torch.bool),
+        torch.zeros(1, 3),
+        torch.tensor([[1.0, 1.0, 10.0]]),
+        torch.zeros(1, 2),
+    )
+    torque = 11 * 0.05
+    inertia = sum(mass * (0.05**2 + (0.5 + level) ** 2 + 1 / 6) for level, mass in enumerate((1, 10)))
+    rate, acceleration = describe(towers)[0][0, 0, 0, 12:14]
+    assert rate.item() == pytest.approx(11 / inertia, rel=1e-4)
+    assert acceleration.item() == pytest.approx(torque / inertia / NEAR, rel=1e-4)
+
+
+def test_margins_above_and_below_are_told_apart() -> None:
+    """From the ground up: margins of 0.3, 0.1 and 0.4 of discs in a row along x."""
+    x = torch.tensor([0.0, 0.5, 0.6])  # the top bears at 0.6; the two upper ones at 0.55 - 0.5 from the middle
+    position = torch.stack([x, torch.zeros(3), torch.arange(3) + 0.5], dim=-1)[None]
+    towers = Towers(position, torch.ones(1, 3, dtype=torch.bool), None, torch.ones(1, 3), torch.zeros(1, 2))
+    margin = find_joints(towers).margin[0, 0]
+    own, smallest, second, above, below = describe(towers)[0][0, 0, :, 16:21].T
+    torch.testing.assert_close(own, margin)
+    torch.testing.assert_close(smallest, margin.min().expand(3))
+    torch.testing.assert_close(second, margin.sort().values[1].expand(3))
+    torch.testing.assert_close(above, torch.stack([margin[1:].min(), margin[2], torch.tensor(MAX_MARGIN)]))
+    torch.testing.assert_close(below, torch.stack([torch.tensor(MAX_MARGIN), margin[0], margin[:2].min()]))
+
+
+def test_yaw_is_that_of_the_states() -> None:
+    yaw = np.array([0.3, -0.6, 0.3 + np.pi / 2])
+    states = np.zeros((1, 2, 1, 3, 13))
+    states[..., 5:7] = np.stack([np.sin(yaw / 2), np.cos(yaw / 2)], axis=-1)
+    pose = poses({"states": states, "shape": np.full((1, 3), Shape.BOX)})
+    torch.testing.assert_close(yaw_of(pose), torch.tensor([[0.3, -0.6, 0.3]]), atol=1e-5, rtol=0)
+
+
+def test_twice_the_block_and_all_positions_is_twice_the_prediction() -> None:
+    inputs = random_batch(4, [4, 3, 2, 3]).inputs
+    doubled = replace(inputs, observed=2 * inputs.observed, initial=2 * inputs.initial)
+    found = present_positions(build("hypotheses", block_size=2.0)(doubled), inputs)
+    torch.testing.assert_close(found, 2 * present_positions(build("hypotheses")(inputs), inputs), atol=1e-4, rtol=1e-4)
+
+
+class Residual(torch.nn.Module):
+    """Evidence by hand: minus the squared residual, the last part of the features."""
+
+    def forward(self, features: Tensor) -> Tensor:
+        return -features[..., -3 * (NUM_FRAMES - 1) :].square().sum(dim=-1, keepdim=True)
+
+
+def test_the_hypothesis_that_explains_ab_has_the_largest_weight() -> None:
+    network, inputs = build("hypotheses"), random_batch(3, [3, 3]).inputs
+    network.evidence = Residual()
+    presence = inputs.observed_presence
+    still = replace(inputs, initial=inputs.observed[:, 0], presence=presence)
+    outcomes, _ = network.outcomes(still)
+    for hypothesis in (0, 17, 71):
+        ab = torch.cat([still.initial[:, None], outcomes[:, hypothesis]], dim=1)
+        assert (network.weigh(replace(still, observed=ab)).argmax(dim=1) == hypothesis).all()
+
+
+@pytest.mark.parametrize("logit", [20.0, -20.0])
+def test_stability_is_that_of_the_outcomes(logit: float) -> None:
+    network, inputs = build("hypotheses"), random_batch(4, [4, 3]).inputs
+    with torch.no_grad():
+        network.outcome.bias.view(-1, 4)[:, 3] = logit
+    stable = network(inputs).stable_logit
+    assert (stable * logit > 0)[inputs.presence[:, None].expand(stable.shape)].all()
+
+
+def test_with_poses_an_experiment_does_not_depend_on_its_batch() -> None:
+    network, inputs = build("hypotheses", pose=True), random_batch(4, [4, 3, 2, 3]).inputs
+    alone = take(inputs, slice(2, 3))
+    expected = present_positions(network(inputs), inputs)[2:3]
+    torch.testing.assert_close(present_positions(network(alone), alone), expected, atol=1e-5, rtol=1e-4)
+
+
 def test_one_batch_overfits() -> None:
     torch.manual_seed(0)
     batch = random_batch(3, [3] * 32)
@@ -135,4 +232,3 @@ def test_pose_is_needed_where_it_is_seen() -> None:
     inputs = replace(random_batch(4, [3, 3]).inputs, pose=None)
     with pytest.raises(ValueError, match="pose is not among the inputs"):
         build("hypotheses", pose=True)(inputs)
-    assert POSE_ANGLES[4] == [POSE.index("block_cos_4"), POSE.index("block_sin_4")]

@@ -9,8 +9,8 @@ heavy, and gravity has one of nine tilts. Which ratio of masses and which tilt i
     statics of C under h --the same f, g, W--> motion of D under h;  D = C + its mean under these weights
 
 f, g and s are MLPs that all blocks and hypotheses share, W is a matrix. Vectors are in the frame of the joint that is nearest to
-toppling under h: its x axis is the normal of the edge over which the tower would topple. So nothing depends on the direction of a fall
-or on the number of blocks. The network is trained by the errors of D alone.
+toppling under h: its x axis is the normal of the edge over which the tower would topple. No weight depends on the number of blocks, and
+a quarter turn turns the prediction. The network is trained by positions and stability in D alone: s learns what explains AB.
 
 Contacts depend on the yaw of the blocks, which positions do not show. Without it, faces count as discs.
 """
@@ -27,16 +27,14 @@ from cophy.errors import CophyError
 from cophy.models.layers import check_at_least, check_positive, mlp, pack, unpack
 from cophy.types import POSE_ANGLES, Inputs, Prediction
 
-INITIAL_LOG_RATIO, INITIAL_TILT = (
-    1.0,
-    0.05,
-)  # ours: logarithm of heavy over light mass; horizontal over vertical gravity
+INITIAL_LOG_RATIO = 1.0  # ours: logarithm of heavy over light mass
+INITIAL_TILT = 0.05  # ours: horizontal over vertical gravity; what it becomes may have either sign
 # Ours, lengths in edges of a block:
 NEAR = 0.1  # margins, accelerations and tilts of this size matter
 SMALL = 0.05  # motions below it are seen linearly, larger ones by their logarithm
 MAX_MARGIN = 1.0  # where there is no joint
 LIMITS = (-2.5, 3.5)  # of all features: what is farther counts alike
-NUM_FEATURES = 26  # of a block, and two with its yaw
+NUM_FEATURES = 26  # of a block, see `describe`; two more with its yaw
 EPSILON = 1e-8  # keeps divisors and the slope of square roots finite
 
 
@@ -64,7 +62,7 @@ class Joints(NamedTuple):
     Attributes:
         margin: How far the load is inside both faces of the joint, in edges of a block; below zero, the joint fails.
         bears: Where the load bears, (x, y) like all that follow.
-        support: Centre of the block below; of block k itself if it is on the ground, which is no smaller than a face.
+        support: Centre of the block below; on the ground that of block k itself, whose face is then the whole contact.
         face: Centre of the face whose edge is the nearest.
         normal: Normal of this edge, outwards.
         load_mass: Mass of the load.
@@ -147,7 +145,14 @@ def at_slot(
 def describe(
     towers: Towers,
 ) -> tuple[Float[Tensor, "batch hypotheses slots features"], Float[Tensor, "batch hypotheses 2 2"]]:
-    """Return features of every block in the frame of its tower's weakest joint, and the unit vectors x and y of this frame."""
+    """Return features of every block in the frame of its tower's weakest joint, and the unit vectors x and y of this frame.
+
+    Lengths are in edges of a block. Features are five vectors: the block's place from the face of the weakest joint, where the block's
+    load bears from both faces of its joint, where that of the weakest joint bears from its face, and the tilt; then the height above
+    the ground and above the weakest joint's block, two features of how fast the weakest joint's load topples, the logarithms of the
+    load's and the block's mass, the yaw in the frame if it is known, and five margins, each also squashed: the joint's, the two
+    smallest of the tower, and the smallest above and below.
+    """
     joints, z = find_joints(towers), towers.position[..., 2]
     margin = joints.margin
     weakest = margin.argmin(dim=2, keepdim=True)
@@ -167,13 +172,17 @@ def describe(
     smallest, second = (
         each[..., None].expand_as(margin) for each in margin.topk(2, largest=False).values.unbind(dim=2)
     )
-    next_to = [torch.where(joint[:, None], margin[:, :, None], MAX_MARGIN).amin(dim=3) for joint in joints[-2:]]
+    next_to = [
+        torch.where(joint[:, None], margin[:, :, None], MAX_MARGIN).amin(dim=3)
+        for joint in (joints.above, joints.below)
+    ]
     margins = [margin, smallest, second, *next_to]
 
     height = z[:, None] - z[:, None].expand_as(margin).gather(2, weakest)
     # the load of the weakest joint topples about an edge; its angular acceleration is -smallest · rate, in g per edge
     load = towers.mass * (height > -0.5) * towers.presence[:, None]
-    inertia = load * ((in_frame[..., 0] - 0.5).square() + (height + 0.5).square() + 1 / 6)
+    ahead = in_frame[..., 0]  # of the centre of the face, towards the edge
+    inertia = load * ((ahead - 0.5).square() + (height + 0.5).square() + 1 / 6)
     rate = load.sum(dim=2, keepdim=True) / inertia.sum(dim=2, keepdim=True).clamp(min=EPSILON)
     scalars = [z[:, None], height, rate, -smallest * rate / NEAR, joints.load_mass.log(), towers.mass.log()]
     if towers.yaw is not None:
@@ -185,7 +194,7 @@ def describe(
 
 
 class Hypotheses(nn.Module):
-    """Mixture of predictions under hypotheses of masses and gravity, for towers of any number of blocks."""
+    """Mixture of predictions under hypotheses of masses and gravity. Its cost doubles with every block."""
 
     def __init__(self, *, hidden_dim: int, num_frames: int, block_size: float | None, pose: bool) -> None:
         """Build the layers.
