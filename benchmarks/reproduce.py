@@ -56,7 +56,7 @@ ONLY = {  # rows of one scenario
     "alongside_canonical": "collision",
     "hypotheses": "blocktower",
 }
-NEWER = ["gns", "transformer", "cophynet_canonical"]  # on the default splits alone
+NEWER = ["gns", "transformer", "cophynet_canonical"]  # headline_jobs has them on the default splits alone
 ONCE = [
     "cophynet_adam",
     "in_without_pose",

@@ -84,7 +84,8 @@ def margins_of_c(arrays: Mapping[str, np.ndarray], inputs: Inputs, with_yaw: boo
     """Return how far each C is from toppling under the true masses and gravity, metres."""
     mass = torch.from_numpy(arrays["mass"]).float()[:, None]
     tilt = torch.from_numpy(arrays["gravity"][:, :2] / -arrays["gravity"][:, 2:]).float()[:, None]
-    yaw = yaw_of(inputs.pose) if with_yaw and inputs.pose is not None else None
+    assert inputs.pose is not None
+    yaw = yaw_of(inputs.pose) if with_yaw else None
     margins = find_joints(Towers(inputs.initial, inputs.presence, yaw, mass, tilt)).margin  # edges are 1 m
     return margins[:, 0].amin(dim=1)
 

@@ -54,7 +54,7 @@ def test_a_load_bears_where_the_lever_says() -> None:
     joints = find_joints(towers)
     torch.testing.assert_close(joints.load_mass[0, 0], torch.tensor([4.0, 3.0]))
     lower = 0.75 * 0.2 + 0.1 * (0.25 * 0.5 + 0.75 * 1.5)  # mean position, and the height of the centre of mass
-    torch.testing.assert_close(joints.bears[0, 0, :, 0], torch.tensor([lower, 0.2 + 0.1 * 0.5]))
+    torch.testing.assert_close(joints.load_point[0, 0, :, 0], torch.tensor([lower, 0.2 + 0.1 * 0.5]))
     torch.testing.assert_close(joints.margin[0, 0], torch.tensor([0.5 - lower, 0.5 - 0.25]), atol=1e-4, rtol=0)
     torch.testing.assert_close(joints.normal[0, 0], torch.tensor([[1.0, 0.0], [1.0, 0.0]]), atol=1e-4, rtol=0)
 
@@ -149,11 +149,12 @@ def test_a_load_topples_by_torque_over_inertia() -> None:
 
 
 def test_margins_above_and_below_are_told_apart() -> None:
-    """From the ground up: margins of 0.3, 0.1 and 0.4 of discs in a row along x."""
-    x = torch.tensor([0.0, 0.5, 0.6])  # the top bears at 0.6; the two upper ones at 0.55 - 0.5 from the middle
+    """Discs in a row along x: from the ground up, the margins are 0.13, -0.05 and 0.4."""
+    x = torch.tensor([0.0, 0.5, 0.6])
     position = torch.stack([x, torch.zeros(3), torch.arange(3) + 0.5], dim=-1)[None]
     towers = Towers(position, torch.ones(1, 3, dtype=torch.bool), None, torch.ones(1, 3), torch.zeros(1, 2))
     margin = find_joints(towers).margin[0, 0]
+    torch.testing.assert_close(margin, torch.tensor([0.5 - 1.1 / 3, -0.05, 0.4]), atol=1e-4, rtol=0)
     own, smallest, second, above, below = describe(towers)[0][0, 0, :, 16:21].T
     torch.testing.assert_close(own, margin)
     torch.testing.assert_close(smallest, margin.min().expand(3))

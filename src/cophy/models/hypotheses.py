@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from torch.nn.functional import logsigmoid
 
 from cophy.errors import CophyError
+from cophy.models.baselines import rotate_quarter
 from cophy.models.layers import check_at_least, check_positive, mlp, pack, unpack
 from cophy.types import POSE_ANGLES, Inputs, Prediction
 
@@ -61,7 +62,7 @@ class Joints(NamedTuple):
 
     Attributes:
         margin: How far the load is inside both faces of the joint, in edges of a block; below zero, the joint fails.
-        bears: Where the load bears, (x, y) like all that follow.
+        load_point: Where the load bears, (x, y) like all that follow.
         support: Centre of the block below; on the ground that of block k itself, whose face is then the whole contact.
         face: Centre of the face whose edge is the nearest.
         normal: Normal of this edge, outwards.
@@ -70,7 +71,7 @@ class Joints(NamedTuple):
     """
 
     margin: Float[Tensor, "batch hypotheses slots"]
-    bears: Float[Tensor, "batch hypotheses slots 2"]
+    load_point: Float[Tensor, "batch hypotheses slots 2"]
     support: Float[Tensor, "batch 1 slots 2"]
     face: Float[Tensor, "batch hypotheses slots 2"]
     normal: Float[Tensor, "batch hypotheses slots 2"]
@@ -88,19 +89,21 @@ def find_joints(towers: Towers) -> Joints:
     load_mass = load.sum(dim=-1).clamp(min=EPSILON)
     share = load / load_mass[..., None]
     lever = torch.einsum("bhkj,bj->bhk", share, z) - z[:, None] + 0.5  # height of the load's centre above the joint
-    bears = torch.einsum("bhkj,bjx->bhkx", share, xy) + towers.tilt[..., None, :] * lever[..., None]
+    load_point = torch.einsum("bhkj,bjx->bhkx", share, xy) + towers.tilt[..., None, :] * lever[..., None]
 
     itself = torch.eye(z.shape[1], dtype=torch.bool, device=z.device)
     lower = below | (itself & ~below.any(dim=2, keepdim=True))
     highest = torch.where(lower, z[:, None], -torch.inf).argmax(dim=2)
     support = xy.gather(1, highest[..., None].expand_as(xy))[:, None]
-    block_distance, block_normal = nearest_edge(bears - xy[:, None], yaw)
-    support_distance, support_normal = nearest_edge(bears - support, None if yaw is None else yaw.gather(1, highest))
+    block_distance, block_normal = nearest_edge(load_point - xy[:, None], yaw)
+    support_distance, support_normal = nearest_edge(
+        load_point - support, None if yaw is None else yaw.gather(1, highest)
+    )
     is_block = (block_distance >= support_distance)[..., None]
     face = torch.where(is_block, xy[:, None], support)
     normal = torch.where(is_block, block_normal, support_normal)
     margin = torch.where(present, 0.5 - torch.maximum(block_distance, support_distance), MAX_MARGIN)
-    return Joints(margin, bears, support, face, normal, load_mass, loads & ~itself, below)
+    return Joints(margin, load_point, support, face, normal, load_mass, loads & ~itself, below)
 
 
 def yaw_of(pose: Float[Tensor, "batch slots 7"]) -> Float[Tensor, "batch slots"]:
@@ -124,15 +127,10 @@ def nearest_edge(
         distance = vectors.square().sum(dim=-1).add(EPSILON).sqrt()
         return distance, vectors / distance[..., None]
     normal = torch.stack([yaw.cos(), yaw.sin()], dim=-1)[:, None].expand_as(vectors)
-    along, across = (vectors * normal).sum(dim=-1), (vectors * rotated(normal)).sum(dim=-1)
+    along, across = (vectors * normal).sum(dim=-1), (vectors * rotate_quarter(normal)).sum(dim=-1)
     is_along = along.abs() > across.abs()
     distance = torch.where(is_along, along, across)
-    return distance.abs(), torch.where(is_along[..., None], normal, rotated(normal)) * distance.sign()[..., None]
-
-
-def rotated(vectors: Float[Tensor, "*any 2"]) -> Float[Tensor, "*any 2"]:
-    """Rotate by 90° to the left."""
-    return torch.stack([-vectors[..., 1], vectors[..., 0]], dim=-1)
+    return distance.abs(), torch.where(is_along[..., None], normal, rotate_quarter(normal)) * distance.sign()[..., None]
 
 
 def at_slot(
@@ -156,17 +154,17 @@ def describe(
     joints, z = find_joints(towers), towers.position[..., 2]
     margin = joints.margin
     weakest = margin.argmin(dim=2, keepdim=True)
-    x_axis, face, bears = (at_slot(each, weakest) for each in (joints.normal, joints.face, joints.bears))
-    axes = torch.cat([x_axis, rotated(x_axis)], dim=2)
+    x_axis, face, weakest_point = (at_slot(each, weakest) for each in (joints.normal, joints.face, joints.load_point))
+    axes = torch.cat([x_axis, rotate_quarter(x_axis)], dim=2)
     xy = towers.position[:, None, :, :2]
     vectors = [
         xy - face,
-        joints.bears - xy,
-        joints.bears - joints.support,
-        bears - face,
+        joints.load_point - xy,
+        joints.load_point - joints.support,
+        weakest_point - face,
         towers.tilt[..., None, :] / NEAR,
     ]
-    expanded = torch.stack([each.expand_as(joints.bears) for each in vectors])
+    expanded = torch.stack([each.expand_as(joints.load_point) for each in vectors])
     in_frame = torch.einsum("vbhkx,bhax->bhkva", expanded, axes).flatten(3)
 
     smallest, second = (
