@@ -1,12 +1,12 @@
 """Make, or continue, the results of the docs: python benchmarks/reproduce.py [PART ...] [--scenario NAME] [--size NAME] [--plan]
 
-Parts: data (datasets), audit, headline (rows of the headline table: three training seeds, at size=small on two datasets), oracles,
-rows (every method of the paper's tables on every split, from true positions), derenderers, estimated (the same rows, tested on
-positions estimated from images), curves (learning curves), tables (results.csv, then tables and figures of the docs). All by
-default. Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side, here or each as a job
-of a cluster (--launcher slurm). What is finished or has a row in docs/results/results.csv is skipped (delete the row to make it
-again; trainings without a recorded optimiser are made again, and oracles without errors in oracles.csv), and what was interrupted
-continues. Logs: reproduce/ in the folder of outputs.
+Parts: data (datasets), audit, headline (rows of the headline table: three training seeds, at size=small of all networks and on two
+datasets), oracles, rows (every method of the paper's tables on every split, from true positions), derenderers, estimated (the same
+rows, tested on positions estimated from images), curves (learning curves), tables (results.csv, then tables and figures of the
+docs). All by default. Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side, here or
+each as a job of a cluster (--launcher slurm). What is finished or has a row in docs/results/results.csv is skipped (delete the row
+to make it again; trainings without a recorded optimiser are made again, and oracles without errors in oracles.csv), and what was
+interrupted continues. Logs: reproduce/ in the folder of outputs.
 """
 
 import os
@@ -57,16 +57,14 @@ ONLY = {  # rows of one scenario
     "hypotheses": "blocktower",
 }
 NEWER = ["gns", "transformer", "cophynet_canonical"]  # headline_jobs has them on the default splits alone
-ONCE = [
-    "cophynet_adam",
-    "in_without_pose",
-    "cophynet_without_pose",
-]  # one training seed and dataset on the default split
+ONCE = ["cophynet_adam", "in_without_pose", "cophynet_without_pose"]  # in headline_jobs one seed, dataset and split
+VARIANTS = [*ONCE, "alongside_noisy"]  # at other sizes than small on the default splits alone
 ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_velocity", "oracle_confounders"]
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # of the possible gain
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
-# rows with more than one training seed on every split of size=small; other sizes have more than one on those of HEADLINE alone
-SEEDED = ["in", "cophynet", "alongside", "alongside_canonical", "hypotheses", *NEWER]
+# rows with more than one training seed, on every split at size=small, on those of HEADLINE at other sizes
+SEEDED_SMALL = ["in", "cophynet", "alongside", "alongside_canonical", "hypotheses", *NEWER]
+SEEDED_OTHERS = ["in", "cophynet", "alongside", "gns", "transformer"]
 SEEDS, DATA_SEEDS = (0, 1, 2), {"small": (0, 1)}  # data seed 0 alone for other sizes
 DERENDERER = "derenderer"
 # split and changes, so that one has seen all numbers of objects of a scenario
@@ -172,8 +170,10 @@ def headline_jobs(size: str) -> Iterator[Job]:
         for split in splits:
             rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]
             rows += NEWER if split == splits[0] else []
-            for row in [*rows, *ONCE] if seed == data_seed == 0 and split == splits[0] else rows:
-                if ONLY.get(row, scenario) == scenario:
+            rows += ONCE if seed == data_seed == 0 and split == splits[0] else []
+            for row in rows:
+                is_wanted = size == "small" or seed == 0 or row in SEEDED_OTHERS
+                if is_wanted and ONLY.get(row, scenario) == scenario:
                     yield run_job(scenario, split, row, size, seed, data_seed)
 
 
@@ -186,9 +186,9 @@ def oracle_jobs(size: str) -> Iterator[Job]:
 
 
 def row_jobs(size: str) -> Iterator[Job]:
-    """Every method of the paper's tables and beyond on every split: first one seed, then at size=small those of SEEDED."""
-    for seed, (scenario, split, row, _) in product(SEEDS, table_rows(estimated=False)):
-        if seed == 0 or (size == "small" and row in SEEDED):
+    """Every method of the paper's tables and beyond on every split: first one seed, then at size=small those of SEEDED_SMALL."""
+    for seed, (scenario, split, row, _) in product(SEEDS, table_rows(size, estimated=False)):
+        if seed == 0 or (size == "small" and row in SEEDED_SMALL):
             yield run_job(scenario, split, row, size, seed)
 
 
@@ -200,7 +200,7 @@ def derenderer_jobs(size: str) -> Iterator[Job]:
 
 def estimated_jobs(size: str) -> Iterator[Job]:
     """Every method of the tables on estimated positions, with one seed; trainings on true positions are used again."""
-    for scenario, split, row, positions in table_rows(estimated=True):
+    for scenario, split, row, positions in table_rows(size, estimated=True):
         if is_derendered(row):
             yield run_job(scenario, split, row, size, positions=positions)
 
@@ -211,18 +211,21 @@ def is_derendered(row: str) -> bool:
     return not not_derendered(declared_inputs(to_plain(composed("train", f"+row={row}").model)))
 
 
-def table_rows(*, estimated: bool) -> list[tuple[str, str, str, str]]:
+def table_rows(size: str, *, estimated: bool) -> list[tuple[str, str, str, str]]:
     """Return scenario, split, method and positions of all cells of the tables that are trained or copied."""
     names = {(method.model, method.ablation): name for name, method in methods().items()}
     cells = [cell for table in paper_tables() for _, _, cell, _ in table.cells()]
-    return list(
-        dict.fromkeys(
-            (cell["scenario"], cell["split"], names[cell["model"], cell["ablation"]], cell["positions"])
-            for cell in cells
-            if (cell["positions"] != TRUE_POSITIONS) == estimated
-            and not cell.get("model", SIMULATIONS[0]).startswith(SIMULATIONS)
-        )
+    rows = dict.fromkeys(
+        (cell["scenario"], cell["split"], names[cell["model"], cell["ablation"]], cell["positions"])
+        for cell in cells
+        if (cell["positions"] != TRUE_POSITIONS) == estimated
+        and not cell.get("model", SIMULATIONS[0]).startswith(SIMULATIONS)
     )
+    return [
+        (scenario, split, row, positions)
+        for scenario, split, row, positions in rows
+        if size == "small" or row not in VARIANTS or split == HEADLINE[scenario][0]
+    ]
 
 
 def curve_jobs(size: str) -> Iterator[Job]:
@@ -243,11 +246,14 @@ def known_seconds() -> "pd.Series[float]":
 
 
 @cache
-def training_of(scenario: str, split: str, size: str) -> tuple[str, int]:
-    """Return what tells the training data of a split from those of others, and the experiments that are seen in training."""
+def training_of(scenario: str, split: str, size: str) -> tuple[str, int, int]:
+    """Return what tells the training data of a split from those of others, how many experiments these are, and the epochs."""
     config = settings("train", f"scenario={scenario}", f"split={split}", f"size={size}")
-    experiments = [FRACTIONS[0] * states.spec.num_experiments for states in generated_by(config)]
-    return str(config.split.train), round(experiments[0] * config.trainer.max_epochs)
+    part = config.split.train
+    states = generated_by(config)[0]
+    halves = sum(each is not None for each in (part.moving, part.configurations))  # one of two shapes, or seen ones
+    experiments = round(FRACTIONS[0] * states.spec.num_experiments / 2**halves)
+    return str(part), experiments, config.trainer.max_epochs * config.split.epochs_factor
 
 
 def run_job(
@@ -279,8 +285,9 @@ def run_job(
     command += [f"positions={positions}"] if positions != TRUE_POSITIONS else []
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
     identity = (scenario, split, names["model"], names["ablation"], positions, size, change, str(seed))
-    trained_on, seen = training_of(scenario, split, size)
-    seconds = known_seconds().get((scenario, names["model"], names["ablation"]), float("nan")) * seen
+    trained_on, experiments, epochs = training_of(scenario, split, size)
+    experiments = (changes or {}).get("training.num_experiments", experiments)
+    seconds = known_seconds().get((scenario, names["model"], names["ablation"]), float("nan")) * experiments * epochs
     sees_estimates = positions not in (TRUE_POSITIONS, ESTIMATED_IN_TESTING)
     training = (scenario, trained_on, row, seed, change, sees_estimates)
     return Job(scenario, command, OUTPUTS / place / METRICS, seconds / 3600, row=identity, training=training)

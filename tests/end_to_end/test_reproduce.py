@@ -82,7 +82,7 @@ def test_rows_on_estimated_positions_use_the_trainings_on_true_ones_again(reprod
 
 
 def test_the_parts_have_what_their_tables_need(reproduce: ModuleType) -> None:
-    cells = set(reproduce.table_rows(estimated=True))
+    cells = set(reproduce.table_rows("small", estimated=True))
     assert ("blocktower", "3to3", "cophynet", "derendered") in cells  # Table 7
     assert ("balls", "4to6", "in", "train_ground_truth_test_derendered") in cells
     assert not any(row.startswith(("oracle", "noise_floor")) for _, _, row, _ in cells)
@@ -93,6 +93,29 @@ def test_the_parts_have_what_their_tables_need(reproduce: ModuleType) -> None:
     assert {key for command in curves for key in command if "num_experiments" in key} == {
         "training.num_experiments=700"
     }
+
+
+def test_the_plan_of_the_papers_size_leaves_out_what_the_docs_do_not_need(reproduce: ModuleType) -> None:
+    def jobs(part: str, row: str) -> list[list[str]]:
+        return [job.command for job in reproduce.PARTS[part]("paper") if f"+row={row}" in job.command]
+
+    for row, seeds in (("gns", {"seed=0", "seed=1", "seed=2"}), ("hypotheses", {"seed=0"})):
+        assert {key for command in jobs("headline", row) for key in command if key.startswith("seed=")} == seeds
+        assert {key for command in jobs("rows", row) for key in command if key.startswith("seed=")} == {"seed=0"}
+    assert {command[2] for command in jobs("rows", "cophynet_adam")} == {"split=3to3", "split=4to4", "split=all"}
+    assert {"split=3to3_unseen", "split=4to6"} <= {command[2] for command in jobs("rows", "cophynet")}
+
+
+def test_the_plan_counts_what_is_seen_in_training(reproduce: ModuleType) -> None:
+    """† has half of the experiments and twice the epochs, a transfer half, a point of a learning curve its own number."""
+    whole, unseen = (reproduce.run_job("blocktower", split, "cophynet", "small") for split in ("3to3", "3to3_unseen"))
+    assert unseen.hours == pytest.approx(whole.hours)
+    both, one = (reproduce.run_job("collision", split, "cophynet", "small") for split in ("all", "sphere_to_cylinder"))
+    assert one.hours == pytest.approx(both.hours / 2)
+    changes = {"training.num_experiments": 700}
+    assert reproduce.run_job("collision", "all", "in", "small", changes=changes).hours == pytest.approx(
+        reproduce.run_job("collision", "all", "in", "small").hours / 4
+    )
 
 
 def test_a_launcher_makes_every_command_a_job_of_its_own(
