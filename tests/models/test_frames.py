@@ -39,12 +39,14 @@ def test_turned_experiments_look_equal(scenario: str, matrix: torch.Tensor) -> N
     seen = [turn_inputs(each, canonical_matrices(each, scenario)) for each in (inputs, other)]
     torch.testing.assert_close(seen[0].observed, seen[1].observed, atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(seen[0].initial, seen[1].initial, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(seen[0].pose, seen[1].pose, atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.parametrize("pose", [False, True])
 @pytest.mark.parametrize("name", ["cophynet", "alongside"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_predictions_turn_with_the_experiment(scenario: str, name: str) -> None:
-    network, inputs = build(name, canonical_frame=scenario), inputs_of(scenario)
+def test_predictions_turn_with_the_experiment(scenario: str, name: str, pose: bool) -> None:
+    network, inputs = build(name, canonical_frame=scenario, pose=pose), inputs_of(scenario)
     expected = turn(present_positions(network(inputs), inputs), QUARTER.expand(4, 2, 2))
     other = turned(inputs, QUARTER)
     torch.testing.assert_close(present_positions(network(other), other), expected, atol=1e-4, rtol=1e-4)
@@ -68,9 +70,5 @@ def test_the_axes_are_those_of_the_definition() -> None:
 def test_what_the_frame_does_not_turn_is_refused() -> None:
     with pytest.raises(CophyError, match="must be one of collision, balls, blocktower"):
         build("cophynet", canonical_frame="cars")
-    with pytest.raises(CophyError, match="turns positions alone"):
-        build("cophynet", canonical_frame="balls", pose=True)
-    with pytest.raises(CophyError, match="turns positions alone"):
-        build("alongside", canonical_frame="balls", pose=True)
-    with pytest.raises(CophyError, match="turns positions alone"):
+    with pytest.raises(CophyError, match="needs no true confounders"):
         build("cophynet_true", canonical_frame="balls")

@@ -6,6 +6,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from torch import nn
 
 from cophy.config import composed, to_plain
 from cophy.errors import CophyError
@@ -16,6 +17,7 @@ from cophy.training.instantiation import instantiate_function
 from cophy.training.losses import MSE
 from cophy.training.reuse import fingerprint, hash_code, record_finished, start_training
 from cophy.training.run import Run
+from tests.models.networks import build
 
 PLAIN = to_plain(composed("train"))
 CHECKSUMS = {"3-tiny": {"0.h5": "abc"}}
@@ -56,19 +58,51 @@ def test_what_changes_weights_counts() -> None:
 @pytest.mark.parametrize(
     ("name", "counts"),
     [
-        *(("training/losses.py", True), ("models/cophynet.py", True), ("dataset/splits.py", True), ("types.py", True)),
+        *(("training/losses.py", True), ("models/gns.py", True), ("dataset/splits.py", True), ("types.py", True)),
+        *(("models/alongside.py", True), ("models/layers.py", True), ("models/frames.py", True)),  # GNS imports them
+        *(("models/hypotheses.py", False), ("models/transformer.py", False)),
         *(("study/server.py", False), ("drawing/tensorboard.py", False), ("cli.py", False)),
     ],
 )
 def test_an_edit_counts_only_where_weights_depend_on_it(
     name: str, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    network = CopyC()
+    network = build("gns")
     before, read = hash_code(network), Path.read_bytes
     edited = reuse.PACKAGE / name
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"\n# edited" if path == edited else b""))
     assert edited.is_file()
     assert (hash_code(network) != before) == counts
+
+
+def test_a_model_within_a_model_of_the_user_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hydra may have passed it to a class that does not import it."""
+    network = nn.Sequential(build("transformer"))
+    before, read = hash_code(network), Path.read_bytes
+    edited = reuse.PACKAGE / "models" / "transformer.py"
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"\n# edited" if path == edited else b""))
+    assert hash_code(network) != before
+
+
+@pytest.mark.parametrize(
+    ("line", "counts"),
+    [
+        *(("from cophy.models.transformer import Transformer", True), ("import cophy.models.transformer", True)),
+        *(("from cophy.models import Transformer", True), ("import cophy.models", True)),
+        *(("from cophy.models.layers import mlp", False), ("import torch", False)),
+    ],
+)
+def test_models_that_a_model_of_the_user_imports_count(
+    line: str, counts: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "users_model.py").write_text(f"{line}\nclass Net: ...\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    network = __import__("users_model").Net()
+    before, read = hash_code(network), Path.read_bytes
+    edited = reuse.PACKAGE / "models" / "transformer.py"
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"\n# edited" if path == edited else b""))
+    assert (hash_code(network) != before) == counts
+    del sys.modules["users_model"]
 
 
 def test_modules_next_to_a_model_of_the_user_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -298,7 +298,7 @@ class Alongside(nn.Module):
         check_at_least(1, hidden_dim=hidden_dim)
         check_layers(2, edge_layers=edge_layers)
         check_positive(temperature=temperature, arena_half_width=arena_half_width, max_step=max_step)
-        check_frame(canonical_frame, sees_more=pose)
+        check_frame(canonical_frame)
         self.canonical_frame = canonical_frame
         self.temperature, self.max_step, self.replay = temperature, max_step, replay
         self.ego = EgoFeatures(arena_half_width, Appearance(object_type, pose))

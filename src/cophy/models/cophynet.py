@@ -286,7 +286,7 @@ class CoPhyNet(nn.Module):
         self.appearance = Appearance(object_type, pose)
         position_dim = 3 + self.appearance.width
         knows_confounders = self.source in (ConfounderSource.ground_truth, ConfounderSource.without_pose)
-        check_frame(canonical_frame, sees_more=pose or knows_confounders)
+        check_frame(canonical_frame, knows_confounders=knows_confounders)
         self.canonical_frame = canonical_frame
 
         def make_convolution(input_dim: int) -> nn.Module:

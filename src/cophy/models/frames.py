@@ -15,18 +15,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cophy.errors import CophyError
-from cophy.types import Inputs, Prediction
+from cophy.types import POSE_ANGLES, Inputs, Prediction
 
 SCENARIOS = ("collision", "balls", "blocktower")
 EPSILON = 1e-12
 
 
-def check_frame(name: str | None, *, sees_more: bool) -> None:
-    """Raise a CophyError if a scenario has no canonical frame, or if a model sees more than positions, which a frame leaves."""
+def check_frame(name: str | None, *, knows_confounders: bool = False) -> None:
+    """Raise a CophyError if a scenario has no canonical frame, or if a model sees true confounders, which a frame leaves."""
     if name is not None and name not in SCENARIOS:
         raise CophyError(f"model.canonical_frame={name} must be one of {', '.join(SCENARIOS)}")
-    if name is not None and sees_more:
-        raise CophyError("model.canonical_frame turns positions alone: it needs pose=false and no true confounders")
+    if name is not None and knows_confounders:
+        raise CophyError("model.canonical_frame turns positions and poses alone: it needs no true confounders")
 
 
 def predict_in_frame(predict: Callable[[Inputs], Prediction], inputs: Inputs, scenario: str | None) -> Prediction:
@@ -70,6 +70,30 @@ def turn(
     return torch.cat([xy, vectors[..., 2:]], dim=-1)
 
 
+def turn_columns(
+    features: Float[Tensor, "batch slots features"], parts: list[tuple[list[int], Float[Tensor, "batch 2 2"]]]
+) -> Float[Tensor, "batch slots features"]:
+    """Apply matrices to some columns of features, two at a time."""
+    turned = features.clone()
+    for columns, matrices in parts:
+        turned[..., columns] = turn(features[..., columns], matrices)
+    return turned
+
+
 def turn_inputs(inputs: Inputs, matrices: Float[Tensor, "batch 2 2"]) -> Inputs:
-    """Return AB and C in the frames of these matrices; poses and true confounders stay as they are."""
-    return replace(inputs, observed=turn(inputs.observed, matrices), initial=turn(inputs.initial, matrices))
+    """Return AB, C and poses in the frames of these matrices; true confounders stay as they are."""
+    pose = inputs.pose
+    if pose is not None:
+        doubled = doubled_angles(matrices)
+        multiples = {1: matrices, 2: doubled, 4: doubled_angles(doubled)}
+        pose = turn_columns(pose, [(POSE_ANGLES[n], multiple) for n, multiple in multiples.items()])
+    return replace(inputs, observed=turn(inputs.observed, matrices), initial=turn(inputs.initial, matrices), pose=pose)
+
+
+def doubled_angles(matrices: Float[Tensor, "batch 2 2"]) -> Float[Tensor, "batch 2 2"]:
+    """Return the matrices that act on (cos 2ψ, sin 2ψ) when the given ones act on (cos ψ, sin ψ)."""
+    (cos, sin), (other_cos, other_sin) = matrices[:, :, 0].unbind(1), matrices[:, :, 1].unbind(1)
+    mirrored = cos * other_sin - sin * other_cos  # the determinant: 1, or -1 for a reflection
+    cos_twice, sin_twice = cos.square() - sin.square(), 2 * cos * sin
+    first, second = (cos_twice, sin_twice), (-mirrored * sin_twice, mirrored * cos_twice)
+    return torch.stack([torch.stack(column, dim=-1) for column in (first, second)], dim=-1)

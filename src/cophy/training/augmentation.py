@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cophy.dataset.datamodules import ONE_DEVICE, DeviceShare
-from cophy.models.frames import turn, turn_inputs
+from cophy.models.frames import turn, turn_columns, turn_inputs
 from cophy.scenario import Scenario
 from cophy.training.settings import Augmentation
-from cophy.types import HORIZONTAL, POSE_ANGLES, Batch
+from cophy.types import HORIZONTAL, Batch
 
 
 def matrices_of(scenario: Scenario, augmentation: Augmentation) -> np.ndarray:
@@ -42,11 +42,7 @@ def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:
     inputs, targets = batch.inputs, batch.targets
     turned = turn_inputs(inputs, matrices)
     if inputs.confounders is not None:
-        turned.confounders = _turned(inputs.confounders, [(columns, matrices) for columns in HORIZONTAL])
-    if inputs.pose is not None:
-        doubled = _doubled(matrices)
-        multiples = {1: matrices, 2: doubled, 4: _doubled(doubled)}
-        turned.pose = _turned(inputs.pose, [(POSE_ANGLES[n], multiple) for n, multiple in multiples.items()])
+        turned.confounders = turn_columns(inputs.confounders, [(columns, matrices) for columns in HORIZONTAL])
     truth = replace(targets, position=turn(targets.position, matrices), initial=turn(targets.initial, matrices))
     return Batch(turned, truth)
 
@@ -72,22 +68,3 @@ def add_position_noise(batch: Batch, max_std: float, draw: tuple[int, ...], shar
 
     observed = noisy(inputs.observed, inputs.observed_presence[:, None].expand(inputs.observed.shape[:-1]))
     return replace(batch, inputs=replace(inputs, observed=observed, initial=noisy(inputs.initial, inputs.presence)))
-
-
-def _turned(
-    features: Float[Tensor, "batch slots features"], parts: list[tuple[list[int], Float[Tensor, "batch 2 2"]]]
-) -> Float[Tensor, "batch slots features"]:
-    """Apply matrices to some columns of features, two at a time."""
-    turned = features.clone()
-    for columns, matrices in parts:
-        turned[..., columns] = turn(features[..., columns], matrices)
-    return turned
-
-
-def _doubled(matrices: Float[Tensor, "batch 2 2"]) -> Float[Tensor, "batch 2 2"]:
-    """Return the matrices that act on (cos 2ψ, sin 2ψ) when the given ones act on (cos ψ, sin ψ)."""
-    (cos, sin), (other_cos, other_sin) = matrices[:, :, 0].unbind(1), matrices[:, :, 1].unbind(1)
-    mirrored = cos * other_sin - sin * other_cos  # the determinant: 1, or -1 for a reflection
-    cos_twice, sin_twice = cos.square() - sin.square(), 2 * cos * sin
-    first, second = (cos_twice, sin_twice), (-mirrored * sin_twice, mirrored * cos_twice)
-    return torch.stack([torch.stack(column, dim=-1) for column in (first, second)], dim=-1)

@@ -5,17 +5,21 @@ begins (begun.json) and when it ends (finished.json). A training with an equal f
 device.
 """
 
+import ast
 import hashlib
 import inspect
 import json
 import logging
 import os
 import shutil
+from collections.abc import Iterator
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from torch import nn
 
 import cophy
 from cophy.atomic_files import read_json, sha256, write_atomically
@@ -26,7 +30,8 @@ from cophy.training.run import Run
 log = logging.getLogger(__name__)
 
 PACKAGE = Path(cophy.__file__).parent
-CODE = ("scenario", "dataset", "models", "training")  # the subpackages that weights depend on
+MODELS = PACKAGE / "models"
+CODE = ("scenario", "dataset", "training")  # the subpackages that weights depend on, besides parts of models
 FINISHED, BEGUN = "finished.json", "begun.json"
 STOPPED = "last_of_stopped.ckpt"
 NOTES: dict[str, dict[str, Any]] = {  # the types of what they hold
@@ -57,18 +62,45 @@ class Start(NamedTuple):
 
 
 def hash_code(*parts: object) -> str:
-    """Hash the source that weights depend on: subpackages of cophy, and the files next to a model or a loss of the user.
+    """Hash the source that weights depend on: a model or a loss with the files next to it, if it is the user's, subpackages of
+    cophy, and the files of `cophy.models` that these import. So an edit of one model does not train the others again.
 
     Call it before data are generated, so that an edit in the meantime counts for the next command.
     """
-    folders = [PACKAGE / name for name in CODE]
+    folders, modules = [PACKAGE / name for name in CODE], []
     for part in filter(None, parts):  # a de-renderer has no loss of positions
         written = inspect.unwrap(part.func) if isinstance(part, partial) else type(part)  # a decorator is elsewhere
         source = inspect.getsourcefile(written)
         if source and PACKAGE not in Path(source).parents:
             folders.append(Path(source).parent)
+        if isinstance(part, nn.Module):
+            modules += [type(module).__module__ for module in part.modules()]
     paths = [PACKAGE / "types.py", *(path for folder in folders for path in sorted(folder.glob("*.py")))]
+    paths += sorted(_models_among([*modules, *chain.from_iterable(map(_imports, paths))]))
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
+
+
+def _models_among(names: list[str]) -> set[Path]:
+    """Return the files of `cophy.models` among the modules and objects with these dotted names, and those that they import."""
+    found: set[Path] = set()
+    while names:
+        name = names.pop()
+        path = MODELS / f"{name.removeprefix('cophy.models.').partition('.')[0]}.py"
+        if name.startswith("cophy.models") and path not in found:
+            # an object of the package itself may come from any of its files
+            new = {path} if path.is_file() else set(MODELS.glob("*.py")) - found
+            found |= new
+            names += chain.from_iterable(map(_imports, new))
+    return found
+
+
+def _imports(path: Path) -> Iterator[str]:
+    """Yield the dotted names that a file imports."""
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{each.name}" for each in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (each.name for each in node.names)
 
 
 def fingerprint(
