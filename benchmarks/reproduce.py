@@ -49,11 +49,12 @@ HEADLINE = {
 }
 UNTRAINED = ["copy_c", "copy_b", "copy_b_displaced", "replay", "spheres"]
 TREES = ["trees", "trees_confounders"]
-NETWORKS = ["in", "npe", "cophynet", "alongside", "alongside_canonical", "hypotheses", "in_sup"]
+NETWORKS = ["in", "npe", "cophynet", "alongside", "alongside_canonical", "alongside_posed", "hypotheses", "in_sup"]
 ONLY = {  # rows of one scenario
     "replay": "collision",
     "spheres": "balls",
     "alongside_canonical": "collision",
+    "alongside_posed": "collision",
     "hypotheses": "blocktower",
 }
 NEWER = ["gns", "transformer", "cophynet_canonical"]  # headline_jobs has them on the default splits alone
@@ -63,7 +64,7 @@ ORACLES = ["oracle_feedforward", "oracle_counterfactual", "oracle_initial_veloci
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # of the possible gain
 SIMULATED = [*ORACLES, "noise_floor_rate", "noise_floor_jitter"]  # they share their simulations
 # rows with more than one training seed, on every split at size=small, on those of HEADLINE at other sizes
-SEEDED_SMALL = ["in", "cophynet", "alongside", "alongside_canonical", "hypotheses", *NEWER]
+SEEDED_SMALL = ["in", "cophynet", "alongside", "alongside_canonical", "alongside_posed", "hypotheses", *NEWER]
 SEEDED_OTHERS = ["in", "cophynet", "alongside", "gns", "transformer"]
 SEEDS, DATA_SEEDS = (0, 1, 2), {"small": (0, 1)}  # data seed 0 alone for other sizes
 DERENDERER = "derenderer"

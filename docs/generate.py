@@ -54,6 +54,7 @@ BASELINES = ("copy_c", "copy_b", "copy_b_displaced", "replay", "trees")
 NEWER = ("cophynet_adam", "cophynet_canonical", "gns", "transformer", "alongside_canonical")
 OF_ORACLES = r"(\+max_experiments-\d+)?"  # what their runs change: on how many test experiments they are asked
 TOLD_MORE = (
+    "alongside_posed",
     "hypotheses",
     "in_sup",
     "in_without_pose",

@@ -29,7 +29,7 @@ SPACING = {"blocktower": 1.0, "balls": 1.0, "collision": 1.8}  # of the columns:
 COSTS = {  # rows of format 4 that train a network, with their colours
     **{name: color for name, (_, color, _) in STYLES.items() if name != "copy_b"},
     **{"cophynet_adam": "#6f9fd0", "cophynet_canonical": "#123a5f", "gns": "#8a4fbf", "transformer": "#d98a1f"},
-    **{"alongside_canonical": "#8f2f1a", "hypotheses": "#e8907c"},
+    **{"alongside_canonical": "#8f2f1a", "alongside_posed": "#c0a080", "hypotheses": "#e8907c"},
 }
 MEASURES = {
     "mse": ("test MSE, m²", 1),

@@ -20,12 +20,13 @@ The initial velocity v_0 is the first motion of AB plus a learned correction. No
 scaled by one factor. v_{t+1} itself is not clipped: later corrections can cancel it, so the network may use it as memory.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cophy.models.contacts import CONTACT_DIM, OFFSET_DIM, Contacts, length, offsets
 from cophy.models.cophynet import gate
 from cophy.models.frames import check_frame, predict_in_frame
 from cophy.models.layers import (
@@ -36,7 +37,6 @@ from cophy.models.layers import (
     check_layers,
     check_positive,
     mean_graph,
-    mirrored,
     mlp,
     others,
     pack,
@@ -45,29 +45,9 @@ from cophy.models.layers import (
 from cophy.types import Inputs, Prediction
 
 MAX_HEIGHT_M = 2.0  # ours: of blocks above it, one in 112,938 is near the ground 0.2 s later (3,000 towers)
-CONTACT_DIM = 5  # features of a contact
-OFFSET_DIM = 4  # features of `offsets`
-EPSILON = 1e-8  # m²: keeps the slope of square roots finite
-IMPULSE_LOGIT_OFFSET = 2.0  # approach and slip are reversed by σ(-2) = 12 % at the start of training
 STEP_DIMS = (3, 3, 1, 1, 1, 1)  # outputs of a step: c, c', m, m', s, k
 KEPT_LOGIT_OFFSET = 4.0  # k starts at σ(4) = 98 %
 INITIAL_WEIGHT_SCALE = 0.2  # of the last layers: before training, a rollout is half AB and half constant velocity
-
-
-def dot(first: Float[Tensor, "*any 3"], second: Float[Tensor, "*any 3"]) -> Float[Tensor, "*any 1"]:
-    """Return the scalar product."""
-    return (first * second).sum(dim=-1, keepdim=True)
-
-
-def length(vectors: Float[Tensor, "*any 3"]) -> Float[Tensor, "*any 1"]:
-    """Return the length, which is never quite zero, so that it can be a divisor."""
-    return dot(vectors, vectors).add(EPSILON).sqrt()
-
-
-def offsets(vectors: Float[Tensor, "batch slots 3"]) -> Float[Tensor, "batch others slots 4"]:
-    """Return the difference from each receiver to each of the others, and its length."""
-    difference = others(vectors) - vectors[:, None]
-    return torch.cat([difference, length(difference)], dim=-1)
 
 
 @dataclass(frozen=True)
@@ -111,88 +91,6 @@ class EgoFeatures:
         return self.appearance.concatenate_to(torch.cat(features, dim=-1), inputs)
 
 
-@dataclass
-class Contact:
-    """The next contact of each object with each of the others (in the order of `others`).
-
-    Attributes:
-        moment: Share of the step until the two touch or are nearest: 0 if they separate or overlap already, 1 if they
-            still approach after the step.
-        normal: Unit vector from the object to the other at that moment.
-        approach: Velocity of the other relative to the object along the normal, metres per step; negative if they
-            approach each other.
-        slip: Remainder of the relative velocity, metres per step.
-        gap: Distance between the surfaces at that moment, metres.
-        touches: 1 if the two touch within the step, else 0.
-    """
-
-    moment: Float[Tensor, "batch others slots 1"]
-    normal: Float[Tensor, "batch others slots 3"]
-    approach: Float[Tensor, "batch others slots 1"]
-    slip: Float[Tensor, "batch others slots 3"]
-    gap: Float[Tensor, "batch others slots 1"]
-    touches: Float[Tensor, "batch others slots 1"]
-
-    def features(self) -> Float[Tensor, "batch others slots 5"]:
-        """Return the features that do not depend on direction."""
-        return torch.cat([self.moment, self.gap, self.approach, length(self.slip), self.touches], dim=-1)
-
-    def impulse(self, logits: Float[Tensor, "batch others slots 3"]) -> Float[Tensor, "batch others slots 3"]:
-        """Return the change of the object's motion by the other, metres per step.
-
-        A pair conserves momentum for masses that fit its shares, which sum to 1, and gains no energy: it reverses approach and
-        slip at most.
-
-        Args:
-            logits: Of how far approach and slip are reversed, summed over both objects, and of the object's share in these
-                changes, of which the other's is subtracted: the lighter object has the larger share.
-        """
-        other = mirrored(logits)
-        reversed_parts = torch.sigmoid((logits + other)[..., :2] - IMPULSE_LOGIT_OFFSET)
-        approach, slip = (reversed_parts * torch.sigmoid((logits - other)[..., 2:])).chunk(2, dim=-1)
-        return 2 * approach * self.approach * self.normal + slip * self.slip
-
-    def along(self, change: Float[Tensor, "batch slots 3"]) -> Float[Tensor, "batch others slots 4"]:
-        """Project changes of motion of the object and of the other on the normal and on the direction of slip."""
-        tangent = self.slip / length(self.slip)
-        pair = (change[:, None].expand_as(self.normal), others(change))
-        return torch.cat([dot(each, axis) for axis in (self.normal, tangent) for each in pair], dim=-1)
-
-
-class Contacts(nn.Module):
-    """Predicts the contacts of spheres of one learned size.
-
-    Frames are 0.2 s apart, so two balls that collide between two frames are apart in both. Both are extrapolated along
-    straight lines to the moment of contact. Momentum passes along the normal of that moment, not along the line between
-    the centres in a frame.
-    """
-
-    def __init__(self) -> None:
-        """Start with a distance of 1 m between the centres at contact."""
-        super().__init__()
-        self.reach = nn.Parameter(torch.tensor(1.0))
-
-    def forward(self, position: Float[Tensor, "batch slots 3"], motion: Float[Tensor, "batch slots 3"]) -> Contact:
-        """Predict the contacts of one step of constant velocity.
-
-        Args:
-            position: Centres, metres.
-            motion: Displacement in the step, metres.
-        """
-        offset, velocity = others(position) - position[:, None], others(motion) - motion[:, None]
-        # |offset + s · velocity|² = reach² is a quadratic equation for the moment s
-        a, b, c = dot(velocity, velocity) + 1e-6, dot(offset, velocity), dot(offset, offset) - self.reach**2
-        root = b.square() - a * c
-        meets = (root > 0) & (b < 0)
-        moment = torch.where(meets, (-b - root.clamp(min=EPSILON).sqrt()) / a, -b / a).clamp(0, 1)
-        offset_at_contact = offset + moment * velocity
-        distance = length(offset_at_contact)
-        normal = offset_at_contact / distance
-        approach = dot(velocity, normal)
-        touches = (meets & (moment < 1)).to(position.dtype)
-        return Contact(moment, normal, approach, velocity - approach * normal, distance - self.reach, touches)
-
-
 class History(nn.Module):
     """Encoder of AB: messages per frame, then a bidirectional GRU over time.
 
@@ -229,7 +127,8 @@ class History(nn.Module):
         ego = [self.ego.compute(inputs.observed[:, t], before[:, t], self.contacts.reach, inputs) for t in range(time)]
         position, motion, change = (each.flatten(0, 1) for each in (inputs.observed, before, after - before))
         nodes = torch.cat([torch.stack(ego, dim=1).flatten(0, 1), change], dim=-1)
-        contact = self.contacts(position, motion)
+        pose = None if inputs.pose is None else inputs.pose.repeat_interleave(time, dim=0)
+        contact = self.contacts(position, motion, pose)
         relations = torch.cat([offsets(position), contact.features(), contact.along(change)], dim=-1)
         messages = self.messages(nodes, relations)
         graph = mean_graph(inputs.observed_presence, position.dtype)
@@ -324,7 +223,7 @@ class Alongside(nn.Module):
         return predict_in_frame(self._predict_with_slots, inputs, self.canonical_frame)
 
     def _predict_with_slots(self, inputs: Inputs) -> Prediction:
-        packed, slots = pack(inputs)
+        packed, slots = pack(inputs if self.ego.appearance.pose else replace(inputs, pose=None))
         return unpack(self._predict(packed), slots, inputs.presence.shape[1])
 
     def _predict(self, inputs: Inputs) -> Prediction:
@@ -345,7 +244,7 @@ class Alongside(nn.Module):
             ego = self.ego.compute(position, velocity, self.contacts.reach, inputs)
             offset = (position - ab[:, step]) * seen
             nodes = torch.cat([ego, offset, motion[:, step], after[:, step], history[:, step + 1]], dim=-1)
-            contact = self.contacts(position, velocity)
+            contact = self.contacts(position, velocity, inputs.pose)
             relations = [offsets(position), offsets(ab[:, step]), contact.features()]
             messages = self.messages(nodes, torch.cat([*relations, *memory], dim=-1))
             received = graph.sum_over_senders(messages)

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cophy.models.alongside import OFFSET_DIM, offsets
+from cophy.models.contacts import OFFSET_DIM, offsets
 from cophy.models.cophynet import ConfounderEstimator
 from cophy.models.layers import (
     Appearance,
