@@ -12,6 +12,7 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import yaml
@@ -167,7 +168,7 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "alongside_positions": partial(alongside_positions, results),
         "claims": partial(claims, {3: results, 4: format_4}),
         "format_4": partial(headlines, format_4),
-        "format_4_splits": partial(small_splits, format_4),
+        "format_4_splits": partial(all_splits, format_4),
         "checkpoints": partial(checkpoints, format_4),
         "derenderers": derenderers,
         "columns": column_meanings,
@@ -326,16 +327,17 @@ def of_paper_cell(results: Results, table: PaperTable, names: dict[str, str], nu
     return cell.short(digits, table.scale) + f" *({printed})*"
 
 
-def small_splits(results: Results) -> str:
-    """Test MSE at size=small and data seed 0: a table per scenario, methods × splits."""
+def all_splits(results: Results) -> str:
+    """Test MSE with data seed 0: a table per size and scenario, methods × splits."""
     parts = []
-    for scenario in SCENARIOS:
+    for size, scenario in product(SIZES, SCENARIOS):
         splits, rows = columns(scenario), []
         for method in (*BASELINES, *LEARNED, "alongside_noisy", *NEWER, *TOLD_MORE):
-            cells = [results.cell("mse", scenario, split, method, size="small", change=OF_ORACLES) for split in splits]
+            cells = [results.cell("mse", scenario, split, method, size=size, change=OF_ORACLES) for split in splits]
             if any(cells):
                 rows.append([title(method), *(cell.marked() if cell else NOTHING for cell in cells)])
-        parts.append(markdown([f"{SCENARIOS[scenario]}, test MSE, m²", *splits.values()], rows))
+        if rows:
+            parts.append(markdown([f"{SCENARIOS[scenario]}, size={size}: test MSE, m²", *splits.values()], rows))
     return "\n\n".join(parts)
 
 
