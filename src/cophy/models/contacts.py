@@ -17,8 +17,8 @@ CONTACT_DIM = 5  # features of a contact
 OFFSET_DIM = 4  # features of `offsets`
 EPSILON = 1e-8  # m²: keeps the slope of square roots finite
 IMPULSE_LOGIT_OFFSET = 2.0  # approach and slip are reversed by σ(-2) = 12 % at the start of training
-ADVANCES = 8  # ours: after them, a disc that meets a square is within millimetres of it
-MIN_SLOPE = 0.1  # of the distance over the way: what grazes more is treated as if it did not
+ITERATIONS = 4  # ours: after them, a disc that meets a square is within millimetres of it
+MIN_SLOPE = 0.1  # ours: of the distance along the way; what grazes more moves on in shorter steps
 HALF_EDGE_M = 0.5  # of a lying cylinder, which is 1 m long and wide
 MAX_GAP_M = 0.02  # ours: at the moment of contact, more is a miss
 
@@ -149,14 +149,14 @@ class Contacts(nn.Module):
         rotation = torch.stack([axis, torch.cat([-sin, cos], dim=-1)], dim=-2)  # to the frame of the square
         start, way = (torch.einsum("...ij,...j->...i", rotation, each[..., :2]) for each in (offset, velocity))
         speed, radius = (dot(way, way) + 1e-6).sqrt(), self.reach / 2
-        with torch.no_grad():  # the disc advances by its distance, so it never passes the square
-            moment = torch.zeros_like(speed)
-            for _ in range(ADVANCES):
-                moment = moment + (length(from_square(start + moment * way)) - radius) / speed
-        outside = from_square(start + moment * way)
-        distance = length(outside)
-        slope = (dot(outside / distance, way)).clamp(max=-MIN_SLOPE * speed)
-        moment = moment - (distance - radius) / slope  # a step of Newton, through which gradients pass
+        moment = torch.zeros_like(speed)
+        for _ in range(
+            ITERATIONS
+        ):  # Newton's: the distance is a convex function of the moment, so no step goes too far
+            outside = from_square(start + moment * way)
+            distance = length(outside)
+            slope = dot(outside / distance, way).clamp(max=-MIN_SLOPE * speed)
+            moment = moment - (distance - radius) / slope
         nearest = -dot(start, way) / speed.square()
         moment = torch.minimum(moment, nearest).clamp(0, 1)
         outside = from_square(start + moment * way)
