@@ -59,8 +59,8 @@ def test_what_changes_weights_counts() -> None:
     ("name", "counts"),
     [
         *(("training/losses.py", True), ("models/gns.py", True), ("dataset/splits.py", True), ("types.py", True)),
-        *(("models/alongside.py", True), ("models/layers.py", True), ("models/frames.py", True)),  # GNS imports them
-        *(("models/hypotheses.py", False), ("models/transformer.py", False)),
+        *(("models/contacts.py", True), ("models/layers.py", True), ("models/frames.py", True)),  # GNS imports them
+        *(("models/alongside.py", False), ("models/transformer.py", False)),
         *(("study/server.py", False), ("drawing/tensorboard.py", False), ("cli.py", False)),
     ],
 )
