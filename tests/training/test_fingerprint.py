@@ -55,6 +55,13 @@ def test_what_changes_weights_counts() -> None:
     assert len({fingerprint_of(), *others}) == 8
 
 
+def edit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a file of the package read as if it had been edited."""
+    edited, read = reuse.PACKAGE / name, Path.read_bytes
+    assert edited.is_file()
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"\n# edited" if path == edited else b""))
+
+
 @pytest.mark.parametrize(
     ("name", "counts"),
     [
@@ -68,19 +75,16 @@ def test_an_edit_counts_only_where_weights_depend_on_it(
     name: str, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = build("gns")
-    before, read = hash_code(network), Path.read_bytes
-    edited = reuse.PACKAGE / name
-    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"\n# edited" if path == edited else b""))
-    assert edited.is_file()
+    before = hash_code(network)
+    edit(name, monkeypatch)
     assert (hash_code(network) != before) == counts
 
 
 def test_a_model_within_a_model_of_the_user_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hydra may have passed it to a class that does not import it."""
     network = nn.Sequential(build("transformer"))
-    before, read = hash_code(network), Path.read_bytes
-    edited = reuse.PACKAGE / "models" / "transformer.py"
-    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"\n# edited" if path == edited else b""))
+    before = hash_code(network)
+    edit("models/transformer.py", monkeypatch)
     assert hash_code(network) != before
 
 
@@ -98,9 +102,8 @@ def test_models_that_a_model_of_the_user_imports_count(
     (tmp_path / "users_model.py").write_text(f"{line}\nclass Net: ...\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     network = __import__("users_model").Net()
-    before, read = hash_code(network), Path.read_bytes
-    edited = reuse.PACKAGE / "models" / "transformer.py"
-    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"\n# edited" if path == edited else b""))
+    before = hash_code(network)
+    edit("models/transformer.py", monkeypatch)
     assert (hash_code(network) != before) == counts
     del sys.modules["users_model"]
 
@@ -113,6 +116,14 @@ def test_modules_next_to_a_model_of_the_user_count(tmp_path: Path, monkeypatch: 
     before = hash_code(module.Net())
     (tmp_path / "helper.py").write_text("SCALE = 2\n")
     assert hash_code(module.Net()) != before
+    del sys.modules["users_model"]
+
+
+def test_a_file_next_to_a_model_of_the_user_may_be_invalid(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "users_model.py").write_text("class Net: ...\n")
+    (tmp_path / "draft.py").write_text("def unfinished(\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert hash_code(__import__("users_model").Net())
     del sys.modules["users_model"]
 
 

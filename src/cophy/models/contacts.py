@@ -121,12 +121,10 @@ class Contacts(nn.Module):
             own, other = lies[:, None].expand_as(others(lies)), others(lies)
             axis = torch.where(own, turned[:, None], others(turned))
             sign = torch.where(own, 1.0, -1.0)  # from the square to the disc
-            of_square = self._of_disc_and_square(sign * offset, sign * velocity, axis)
-            of_square = of_square[0], sign * of_square[1], *of_square[2:]
-            moment, normal, gap, touches = (
-                torch.where(own ^ other, square, disc)
-                for square, disc in zip(of_square, (moment, normal, gap, touches), strict=True)
-            )
+            square = self._of_disc_and_square(sign * offset, sign * velocity, axis)
+            one_lies = own ^ other
+            moment, gap = torch.where(one_lies, square[0], moment), torch.where(one_lies, square[2], gap)
+            normal, touches = torch.where(one_lies, sign * square[1], normal), torch.where(one_lies, square[3], touches)
         approach = dot(velocity, normal)
         return Contact(moment, normal, approach, velocity - approach * normal, gap, touches.to(position.dtype))
 

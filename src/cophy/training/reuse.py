@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 PACKAGE = Path(cophy.__file__).parent
 MODELS = PACKAGE / "models"
-CODE = ("scenario", "dataset", "training")  # the subpackages that weights depend on, besides parts of models
+CODE = ("scenario", "dataset", "training")  # the subpackages that weights depend on as a whole
 FINISHED, BEGUN = "finished.json", "begun.json"
 STOPPED = "last_of_stopped.ckpt"
 NOTES: dict[str, dict[str, Any]] = {  # the types of what they hold
@@ -62,8 +62,10 @@ class Start(NamedTuple):
 
 
 def hash_code(*parts: object) -> str:
-    """Hash the source that weights depend on: a model or a loss with the files next to it, if it is the user's, subpackages of
-    cophy, and the files of `cophy.models` that these import. So an edit of one model does not train the others again.
+    """Hash the source that weights depend on.
+
+    This is the code of the training, the model with all files of `cophy.models` that it or the training imports, and the files next
+    to a model or a loss of the user. Other models do not count, so an edit of one does not train the others again.
 
     Call it before data are generated, so that an edit in the meantime counts for the next command.
     """
@@ -95,8 +97,12 @@ def _models_among(names: list[str]) -> set[Path]:
 
 
 def _imports(path: Path) -> Iterator[str]:
-    """Yield the dotted names that a file imports."""
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    """Yield the dotted names that a file imports; none for a file next to a user's model that is no valid Python."""
+    try:
+        tree = ast.parse(path.read_bytes())
+    except (SyntaxError, ValueError):
+        return
+    for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             yield from (f"{node.module}.{each.name}" for each in node.names)
         elif isinstance(node, ast.Import):
