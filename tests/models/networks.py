@@ -68,6 +68,7 @@ GNS_ARGUMENTS = {
     "hidden_dim": HIDDEN_DIM,
     "message_steps": 2,
     "num_velocities": 3,
+    "max_step": 3.2,
     "estimate_dim": 20,
     "gru_layers": 2,
     "edge_layers": 3,

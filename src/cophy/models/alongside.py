@@ -18,6 +18,7 @@ and gains no energy. Sums are over all other objects: the network learns that im
 The initial velocity v_0 is the first motion of AB plus a learned correction. No object moves farther in a step than
 `max_step`, because a rollout can diverge, early in training or with more objects than in training: Δ_t and v_{t+1} are
 scaled by one factor. v_{t+1} itself is not clipped: later corrections can cancel it, so the network may use it as memory.
+Gradients are limited at every step, too.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cophy.models.contacts import CONTACT_DIM, OFFSET_DIM, Contacts, length, offsets
+from cophy.models.contacts import CONTACT_DIM, OFFSET_DIM, Contacts, offsets
 from cophy.models.cophynet import gate
 from cophy.models.frames import check_frame, predict_in_frame
 from cophy.models.layers import (
@@ -42,6 +43,7 @@ from cophy.models.layers import (
     pack,
     unpack,
 )
+from cophy.models.rollout import limit_gradient, share_within
 from cophy.types import Inputs, Prediction
 
 MAX_HEIGHT_M = 2.0  # ours: of blocks above it, one in 112,938 is near the ground 0.2 s later (3,000 towers)
@@ -259,9 +261,9 @@ class Alongside(nn.Module):
                 velocity = velocity + impulse.sum(dim=1)
             displacement = mixture * motion[:, step] + (1 - mixture) * displacement
             velocity = mixture_next * after[:, step] + (1 - mixture_next) * velocity
-            scale = (self.max_step / length(displacement)).clamp(max=1)
-            velocity, displacement = scale * velocity, scale * displacement
-            position = position + gate(logit, self.temperature) * displacement
+            scale = share_within(self.max_step, displacement)
+            velocity = limit_gradient(scale * velocity)
+            position = limit_gradient(position + gate(logit, self.temperature) * scale * displacement)
             positions.append(position)
             logits.append(logit)
         return Prediction(torch.stack(positions, dim=1), torch.stack(logits, dim=1).squeeze(-1))

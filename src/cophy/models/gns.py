@@ -29,6 +29,7 @@ from cophy.models.layers import (
     radius_graph,
     unpack,
 )
+from cophy.models.rollout import limit_gradient, share_within
 from cophy.types import Inputs, Prediction
 
 NEAR_WALL_M = 1.0  # ours: distances to walls are clipped there; a ball touches at half of it
@@ -70,6 +71,7 @@ class GNS(nn.Module):
         hidden_dim: int,
         message_steps: int,
         num_velocities: int,
+        max_step: float,
         estimate_dim: int,
         gru_layers: int,
         edge_layers: int,
@@ -84,6 +86,7 @@ class GNS(nn.Module):
             hidden_dim: Width of nodes and edges.
             message_steps: M, steps of message passing.
             num_velocities: Last velocities that a node has; those before C are 0.
+            max_step: Largest displacement of an object in a step, metres.
             estimate_dim: Width of U and of the layers that estimate it.
             gru_layers, edge_layers, node_layers: Of the estimator, see `CoPhyNet`.
             arena_half_width: Distance from the origin to each of four walls, metres; None without walls.
@@ -97,8 +100,9 @@ class GNS(nn.Module):
         sizes = {"hidden_dim": hidden_dim, "message_steps": message_steps, "num_velocities": num_velocities}
         check_at_least(1, **sizes, estimate_dim=estimate_dim, gru_layers=gru_layers)
         check_at_least(2, edge_layers=edge_layers, node_layers=node_layers)
-        check_positive(arena_half_width=arena_half_width)
+        check_positive(arena_half_width=arena_half_width, max_step=max_step)
         self.estimate_dim, self.num_velocities, self.arena_half_width = estimate_dim, num_velocities, arena_half_width
+        self.max_step = max_step
         self.appearance = Appearance(object_type, pose)
         convolution = GraphConvolution(
             3 + self.appearance.width, estimate_dim, edge_layers=edge_layers, node_layers=node_layers
@@ -126,9 +130,10 @@ class GNS(nn.Module):
         graph = radius_graph(position, inputs.presence, None)
         positions = []
         for _ in range(inputs.num_steps):
-            acceleration = self._accelerate(position, velocities, constant, graph)
-            velocities = [*velocities[1:], velocities[-1] + acceleration]
-            position = position + velocities[-1]
+            velocity = velocities[-1] + self._accelerate(position, velocities, constant, graph)
+            velocity = share_within(self.max_step, velocity) * velocity
+            position, velocity = limit_gradient(position + velocity), limit_gradient(velocity)
+            velocities = [*velocities[1:], velocity]
             positions.append(position)
         return Prediction(torch.stack(positions, dim=1), confounder_estimate=u)
 
