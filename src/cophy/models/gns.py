@@ -29,7 +29,7 @@ from cophy.models.layers import (
     radius_graph,
     unpack,
 )
-from cophy.models.rollout import limit_gradient, share_within
+from cophy.models.rollout import share_within
 from cophy.types import Inputs, Prediction
 
 NEAR_WALL_M = 1.0  # ours: distances to walls are clipped there; a ball touches at half of it
@@ -132,8 +132,8 @@ class GNS(nn.Module):
         for _ in range(inputs.num_steps):
             velocity = velocities[-1] + self._accelerate(position, velocities, constant, graph)
             velocity = share_within(self.max_step, velocity) * velocity
-            position, velocity = limit_gradient(position + velocity), limit_gradient(velocity)
             velocities = [*velocities[1:], velocity]
+            position = position + velocity
             positions.append(position)
         return Prediction(torch.stack(positions, dim=1), confounder_estimate=u)
 
