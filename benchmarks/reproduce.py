@@ -76,6 +76,8 @@ DERENDERERS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 CURVES = ["in", "in_sup", "cophynet", "alongside"]
 CURVE_COUNTS = (700, 2800, 8400)  # training experiments, besides all
+# changes at size=paper: alongside's schedule there has too few steps for fewer experiments
+CURVE_CHANGES = {"alongside": {"trainer.max_epochs": 40, "training.batch_size": 64}}
 DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
 AUDIT_HOURS = 0.05  # estimated
 DERENDERER_HOURS = 0.3  # 20,000 frames at 112 px (docs/guides/images.md)
@@ -234,7 +236,8 @@ def curve_jobs(size: str) -> Iterator[Job]:
     for (scenario, splits), row, count in product(HEADLINE.items(), CURVES, CURVE_COUNTS):
         (states,) = generated_by(settings("train", f"scenario={scenario}", f"split={splits[0]}", f"size={size}"))
         if count < FRACTIONS[0] * states.spec.num_experiments:
-            yield run_job(scenario, splits[0], row, size, changes={"training.num_experiments": count})
+            changes = CURVE_CHANGES.get(row, {}) if size == "paper" else {}
+            yield run_job(scenario, splits[0], row, size, changes={**changes, "training.num_experiments": count})
 
 
 @cache
@@ -248,13 +251,20 @@ def known_seconds() -> "pd.Series[float]":
 
 @cache
 def training_of(scenario: str, split: str, size: str) -> tuple[str, int, int]:
-    """Return what tells the training data of a split from those of others, how many experiments these are, and the epochs."""
+    """Return what tells the training data of a split from those of others, how many experiments these are, and `epochs_factor`."""
     config = settings("train", f"scenario={scenario}", f"split={split}", f"size={size}")
     part = config.split.train
     states = generated_by(config)[0]
     halves = sum(each is not None for each in (part.moving, part.configurations))  # one of two shapes, or seen ones
     experiments = round(FRACTIONS[0] * states.spec.num_experiments / 2**halves)
-    return str(part), experiments, config.trainer.max_epochs * config.split.epochs_factor
+    return str(part), experiments, config.split.epochs_factor
+
+
+@cache
+def epochs_of(method: str, size: str) -> int:
+    """Return the epochs of a method, written as an override, on all of the data."""
+    epochs: int = composed("train", method, f"size={size}").trainer.max_epochs
+    return epochs
 
 
 def run_job(
@@ -278,7 +288,8 @@ def run_job(
     change = variant({key: value for key, value in changed.items() if value is not None})
     place = Run(scenario, split, names["model"], names["ablation"], positions, seed, size, change, Path()).place
     command = ["train", f"scenario={scenario}", f"split={split}"]
-    command += [f"model={row}" if row == DERENDERER else f"+row={row}", f"size={size}", f"seed={seed}"]
+    method = f"model={row}" if row == DERENDERER else f"+row={row}"
+    command += [method, f"size={size}", f"seed={seed}"]
     command += [
         f"data_seed={data_seed}",
         *(f"{key}={value}".replace(" ", "") for key, value in (changes or {}).items()),
@@ -286,7 +297,8 @@ def run_job(
     command += [f"positions={positions}"] if positions != TRUE_POSITIONS else []
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
     identity = (scenario, split, names["model"], names["ablation"], positions, size, change, str(seed))
-    trained_on, experiments, epochs = training_of(scenario, split, size)
+    trained_on, experiments, factor = training_of(scenario, split, size)
+    epochs = epochs_of(method, size) * factor
     experiments = (changes or {}).get("training.num_experiments", experiments)
     seconds = known_seconds().get((scenario, names["model"], names["ablation"]), float("nan")) * experiments * epochs
     sees_estimates = positions not in (TRUE_POSITIONS, ESTIMATED_IN_TESTING)

@@ -353,6 +353,21 @@ def test_the_seed_of_a_dataset_may_be_called_seed(command: str, key: str) -> Non
     assert settings(command, f"{key}=3").data_seed == 3
 
 
+@pytest.mark.parametrize(
+    ("keys", "schedule"),
+    [
+        (("model=alongside",), (64, 40)),
+        (("model=alongside", "size=paper"), (256, 20)),
+        (("model=alongside_noisy", "size=paper"), (256, 20)),
+        (("model=alongside", "size=paper", "training.batch_size=8", "trainer.max_epochs=3"), (8, 3)),
+        (("model=cophynet", "size=paper"), (64, 40)),
+    ],
+)
+def test_a_model_may_have_a_schedule_of_its_own_at_a_size(keys: tuple[str, ...], schedule: tuple[int, int]) -> None:
+    config = composed("train", *keys)
+    assert (config.training.batch_size, config.trainer.max_epochs) == schedule
+
+
 def test_the_seed_of_a_training_is_not_that_of_its_dataset() -> None:
     config = settings("train", "seed=3")
     assert (config.seed, config.data_seed) == (3, 0)
