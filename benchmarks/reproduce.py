@@ -76,8 +76,6 @@ DERENDERERS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 CURVES = ["in", "in_sup", "cophynet", "alongside"]
 CURVE_COUNTS = (700, 2800, 8400)  # training experiments, besides all
-# changes at size=paper: alongside's schedule there has too few steps for fewer experiments
-CURVE_CHANGES = {"alongside": {"trainer.max_epochs": 40, "training.batch_size": 64}}
 DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
 AUDIT_HOURS = 0.05  # estimated
 DERENDERER_HOURS = 0.3  # 20,000 frames at 112 px (docs/guides/images.md)
@@ -236,8 +234,7 @@ def curve_jobs(size: str) -> Iterator[Job]:
     for (scenario, splits), row, count in product(HEADLINE.items(), CURVES, CURVE_COUNTS):
         (states,) = generated_by(settings("train", f"scenario={scenario}", f"split={splits[0]}", f"size={size}"))
         if count < FRACTIONS[0] * states.spec.num_experiments:
-            changes = CURVE_CHANGES.get(row, {}) if size == "paper" else {}
-            yield run_job(scenario, splits[0], row, size, changes={**changes, "training.num_experiments": count})
+            yield run_job(scenario, splits[0], row, size, changes={"training.num_experiments": count})
 
 
 @cache

@@ -105,7 +105,7 @@ class Results:
         points = []
         for scenario, split in CURVES.items():
             for method in CURVE_METHODS:
-                curve = self.of(scenario, split, method, r"(\+max_epochs-40\+batch_size-64)?(\+num_experiments-\d+)?")
+                curve = self.of(scenario, split, method, r"(\+num_experiments-\d+)?")
                 for count in sorted({run["num_train"] for run in curve}):
                     runs = [run for run in curve if run["num_train"] == count]
                     cells = {measure: cell_of(runs, measure) for measure in CURVE_MEASURES}

@@ -356,11 +356,10 @@ def test_the_seed_of_a_dataset_may_be_called_seed(command: str, key: str) -> Non
 @pytest.mark.parametrize(
     ("keys", "schedule"),
     [
-        (("model=alongside",), (64, 40)),
-        (("model=alongside", "size=paper"), (256, 20)),
-        (("model=alongside_noisy", "size=paper"), (256, 20)),
-        (("model=alongside", "size=paper", "training.batch_size=8", "trainer.max_epochs=3"), (8, 3)),
-        (("model=cophynet", "size=paper"), (64, 40)),
+        (("model=alongside_canonical",), (64, 40)),
+        (("model=alongside_canonical", "size=paper"), (256, 20)),
+        (("model=alongside_canonical", "size=paper", "training.batch_size=8", "trainer.max_epochs=3"), (8, 3)),
+        (("model=alongside", "size=paper"), (64, 40)),
     ],
 )
 def test_a_model_may_have_a_schedule_of_its_own_at_a_size(keys: tuple[str, ...], schedule: tuple[int, int]) -> None:
