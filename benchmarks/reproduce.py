@@ -38,7 +38,7 @@ from cophy.training.run import METRICS, Run
 
 ROOT = Path(__file__).parents[1]
 ROW = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]  # columns of results.csv
-ERRORS = ["scenario", "split", "datasets", "model"]  # columns of oracles.csv
+ERRORS = ["scenario", "tested", "model"]  # columns of oracles.csv
 RESULTS = ROOT / "docs" / "results" / "results.csv"
 OUTPUTS = Path(folder("COPHY_OUTPUTS"))
 LOGS = OUTPUTS / "reproduce"
@@ -136,6 +136,7 @@ def rows_that_are_kept(results: Path) -> set[tuple[str, ...]]:
     is_current = (rows["training_seconds"] == "0") | (rows["optimizer"] != "")
     oracles = results.with_name("oracles.csv")  # for shares of the possible gain
     errors = set(map(tuple, pd.read_csv(oracles, dtype=str)[ERRORS].to_numpy())) if oracles.exists() else set()
+    rows["tested"] = rows["datasets"].str.split().str[-1]
     has_errors = rows[ERRORS].apply(tuple, axis=1).isin(errors)
     return set(map(tuple, rows[is_current & (~rows["model"].isin(ENDS) | has_errors)][ROW].to_numpy()))
 
@@ -240,7 +241,7 @@ def curve_jobs(size: str) -> Iterator[Job]:
 @cache
 def known_seconds() -> "pd.Series[float]":
     """Median time of a training per experiment and epoch, by scenario, model and ablation; 0 where nothing is trained."""
-    runs = pd.concat([pd.read_csv(RESULTS.with_name(f"{name}.csv")) for name in ("format_3", "superseded", "results")])
+    runs = pd.concat([pd.read_csv(RESULTS.with_name(f"{name}.csv")) for name in ("format_3", "results")])
     runs = runs[runs["predictor"].isna()]
     seconds = runs["training_seconds"] / (runs["num_train"] * runs["max_epochs"].fillna(1))
     return seconds.groupby([runs["scenario"], runs["model"], runs["ablation"]]).median()

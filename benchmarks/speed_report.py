@@ -1,4 +1,4 @@
-"""Seconds of report.py over 864 runs: the names and metrics of docs/results/*.csv, and random predictions."""
+"""Seconds of report.py over 790 runs: the names and metrics of docs/results/format_3.csv, and random predictions."""
 
 import json
 import tempfile
@@ -28,15 +28,13 @@ def measure() -> list[Measured]:
             cpu_seconds.append(cpu_seconds_of("report.py", f"outputs={directory}"))
             times.append(time.perf_counter())
     seconds = np.diff(times).tolist()
-    return [Measured("report.py over 864 runs", "s", seconds, "≤ 15"), Measured("the same", "CPU-s", cpu_seconds)]
+    return [Measured("report.py over 790 runs", "s", seconds, "≤ 15"), Measured("the same", "CPU-s", cpu_seconds)]
 
 
 def write_runs(outputs: Path) -> None:
-    """Write metrics.json and predictions.npz of all runs in docs/results."""
+    """Write metrics.json and predictions.npz of all runs in docs/results/format_3.csv."""
     data = ComposedData("generated", Path(folder("COPHY_DATA")))
-    runs = pd.concat(
-        [pd.read_csv(ROOT / "docs" / "results" / f"{name}.csv") for name in ("results", "format_3", "superseded")]
-    )
+    runs = pd.read_csv(ROOT / "docs" / "results" / "format_3.csv")
     columns = [str(column) for column in runs]
     metrics = [column.removesuffix("_low") for column in columns if column.endswith("_low") and column != "share_low"]
     for line in runs.to_dict("records"):

@@ -5,6 +5,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
@@ -13,17 +14,25 @@ from cophy.report.paper_tables import TRUE_POSITIONS, methods, paper_tables, pub
 
 ROOT = Path(__file__).parents[1]
 SCENARIOS = {"blocktower": "Towers", "balls": "Balls", "collision": "Collisions"}
-COPIES, LEARNED = ("copy_c", "copy_b"), ("in", "npe", "cophynet", "alongside")
-ORACLES = ("oracle_feedforward", "oracle_initial_velocity", "oracle_confounders", "oracle_counterfactual")
-GIVEN_MORE = ("in_sup", "oracle_feedforward", "oracle_counterfactual")  # the last rows of a leaderboard
-# What a run may change beyond its names, in this order of preference, and how its cell is marked
-VARIANTS = {"": "", r"\+learning_rate-[\d.]+": "ᵃ", r"\+derenderer-.*": ""}
+COPIES = ("copy_c", "copy_b")
+COMPETING = (  # what sees no more than CoPhyNet, in the order of the tables
+    *(*COPIES, "copy_b_displaced", "replay", "trees", "in", "npe", "cophynet_feedforward", "cophynet", "cophynet_adam"),
+    *("cophynet_canonical", "gns", "transformer", "alongside", "alongside_noisy", "alongside_canonical"),
+)
+GIVEN_MORE = (
+    *("alongside_posed", "hypotheses", "spheres", "in_sup", "in_without_pose", "cophynet_gt_confounders"),
+    *("cophynet_without_pose", "trees_confounders", "oracle_feedforward", "oracle_initial_velocity"),
+    *("oracle_confounders", "oracle_counterfactual", "noise_floor_rate", "noise_floor_jitter"),
+)
+# what a run may change beyond its names: on how many experiments oracles are asked, and a given de-renderer
+CHANGES = r"(\+max_experiments-\d+)?(\+derenderer-.*)?"
+SIZES = ("small", "paper")
 CURVES = {"blocktower": "3to3", "balls": "4to4", "collision": "all"}
 CURVE_METHODS = ("in", "in_sup", "cophynet", "alongside")
 CURVE_MEASURES = ("mse", "share", "twin_difference_explained")
 NAMES = ("scenario", "split", "model", "ablation", "positions", "size")
 TEXTS = (*NAMES, "variant", "datasets", "commit", "predictor", "optimizer")
-FORMAT_4 = ROOT / "docs" / "results" / "results.csv"
+TABLE = ROOT / "docs" / "results" / "results.csv"
 Run = dict[str, Any]
 
 
@@ -38,7 +47,6 @@ class Cell:
     highest: float
     deviation: float
     seeds: int
-    mark: str = ""
 
     def number(self, digits: int = 3, scale: float = 1) -> str:
         """Return the value alone."""
@@ -46,7 +54,7 @@ class Cell:
 
     def marked(self, digits: int = 3, scale: float = 1) -> str:
         """Return the value with its number of seeds."""
-        return f"{self.number(digits, scale)}{superscript(self.seeds)}{self.mark}"
+        return f"{self.number(digits, scale)}{superscript(self.seeds)}"
 
     def short(self, digits: int = 3, scale: float = 1) -> str:
         """Return the value with its number of seeds, and half of its interval."""
@@ -56,9 +64,9 @@ class Cell:
     def full(self, digits: int = 3, scale: float = 1) -> str:
         """Return the value with its interval; an interval without width is left out."""
         if self.low is None or self.high is None or self.low == self.high:
-            return f"{self.number(digits, scale)}{self.mark}"
+            return self.number(digits, scale)
         low, high = (f"{round(scale * end, digits) + 0.0:.{digits}f}" for end in (self.low, self.high))
-        return f"{self.number(digits, scale)}{self.mark} [{low}, {high}]"
+        return f"{self.number(digits, scale)} [{low}, {high}]"
 
 
 class Results:
@@ -73,47 +81,44 @@ class Results:
                 self.named[tuple(run[name] for name in NAMES)].append(run)
 
     def of(
-        self, scenario: str, split: str, method: Mapping[str, str] | str, change: str = "", **others: str
+        self, scenario: str, split: str, method: Mapping[str, str] | str, change: str = CHANGES, **others: str
     ) -> list[Run]:
-        """Return the runs of a method on a split, one per training seed; by default of size=paper, on true positions.
+        """Return the runs of a method on a split, one per training seed; by default of size=small, on true positions.
 
         Args:
             scenario, split: Names as on the command line.
             method: Its name, or the model and ablation.
-            change: Pattern of what the runs change beyond their names; by default they change nothing.
+            change: Pattern of what the runs change beyond their names.
             others: Further names.
         """
         keys = methods()[method].keys() if isinstance(method, str) else dict(method)
-        names = {"size": "paper", "positions": TRUE_POSITIONS} | others | keys | {"scenario": scenario, "split": split}
+        names = {"size": "small", "positions": TRUE_POSITIONS} | others | keys | {"scenario": scenario, "split": split}
         named = self.named.get(tuple(names[name] for name in NAMES), [])
         return [run for run in named if re.fullmatch(change, run["change"])]
 
     def cell(
         self, measure: str, scenario: str, split: str, method: Mapping[str, str] | str, **others: str
     ) -> Cell | None:
-        """Return the cell of the runs of these names (see `of`); None where none has the measure.
-
-        Where no unchanged run has it, runs that change what `VARIANTS` lists are taken.
-        """
-        for change, mark in VARIANTS.items() if "change" not in others else [(others["change"], "")]:
-            if cell := cell_of(self.of(scenario, split, method, **others | {"change": change}), measure, mark):
-                return cell
-        return None
+        """Return the cell of the runs of these names (see `of`); None where none has the measure."""
+        return cell_of(self.of(scenario, split, method, **others), measure)
 
     def learning_curves(self) -> list[Run]:
-        """Return the points of all learning curves at size=paper, with few experiments first."""
+        """Return the points of all learning curves, with few experiments first; where both sizes have one, that of paper."""
         points = []
-        for scenario, split in CURVES.items():
-            for method in CURVE_METHODS:
-                curve = self.of(scenario, split, method, r"(\+num_experiments-\d+)?")
-                for count in sorted({run["num_train"] for run in curve}):
-                    runs = [run for run in curve if run["num_train"] == count]
-                    cells = {measure: cell_of(runs, measure) for measure in CURVE_MEASURES}
-                    points.append({"scenario": scenario, "method": method, "num_train": int(count)} | cells)
+        for (scenario, split), method in product(CURVES.items(), CURVE_METHODS):
+            curve: dict[float, list[Run]] = {}
+            for size in SIZES:
+                of_size = defaultdict(list)
+                for run in self.of(scenario, split, method, r"(\+num_experiments-\d+)?", size=size):
+                    of_size[run["num_train"]].append(run)
+                curve |= of_size
+            for count, runs in sorted(curve.items()):
+                cells = {measure: cell_of(runs, measure) for measure in CURVE_MEASURES}
+                points.append({"scenario": scenario, "method": method, "num_train": int(count)} | cells)
         return points
 
 
-def cell_of(runs: list[Run], measure: str, mark: str = "") -> Cell | None:
+def cell_of(runs: list[Run], measure: str) -> Cell | None:
     """Return the cell of runs that differ in their seed alone; None where none has the measure."""
     known = [run for run in runs if run.get(measure, float("nan")) == run.get(measure)]
     if not known:
@@ -127,7 +132,7 @@ def cell_of(runs: list[Run], measure: str, mark: str = "") -> Cell | None:
     low, high = fmean(lows), fmean(highs)
     interval = (low, high) if low == low and high == high else (None, None)
     deviation = stdev(values) if len(values) > 1 else 0.0
-    return Cell(fmean(values), *interval, min(lows), max(highs), deviation, len(known), mark)
+    return Cell(fmean(values), *interval, min(lows), max(highs), deviation, len(known))
 
 
 def columns(scenario: str) -> dict[str, str]:

@@ -31,7 +31,10 @@ KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
 SAME_RUN = [*KEY, "predictor", "training_seconds", "mse"]  # the seconds of two trainings differ
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
 DATA_KEYS = r"\+(size|data_seed|max_experiments)-\w+"  # parts of a variant that only say which experiments a run is on
-TESTED = ["scenario", "split", "datasets"]  # what a run and the oracles that it is compared with have in common
+TESTED = [
+    "scenario",
+    "tested",
+]  # what a run and the oracles that it is compared with have in common: the dataset of the test
 ENDS_KEY = [*TESTED, "model"]
 PER_EXPERIMENT = ["experiment", "cluster", "truth", "mse"]  # see `Scores`
 SHARE = ["share", "share_low", "share_high"]
@@ -83,7 +86,9 @@ def line_of(path: Path, commit: str) -> dict[str, object]:
         for measure in (*MEASURES, *PIXELS)
         for end, kind in (("", "metrics"), ("_low", "low"), ("_high", "high"))
     }
-    return line | measures | {"datasets": " ".join(line["dataset_ids"]), "max_epochs": line["epochs"], "commit": commit}
+    ids = line["dataset_ids"]
+    names = {"datasets": " ".join(ids), "tested": ids[-1], "max_epochs": line["epochs"], "commit": commit}
+    return line | measures | names
 
 
 def errors_of_oracles(predictors: pd.DataFrame, file: Path) -> pd.DataFrame:
