@@ -38,7 +38,7 @@ from cophy.training.run import METRICS, Run
 
 ROOT = Path(__file__).parents[1]
 ROW = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]  # columns of results.csv
-ERRORS = ["scenario", "tested", "model"]  # columns of oracles.csv
+ERRORS = ["scenario", "test_dataset", "model"]  # columns of oracles.csv
 RESULTS = ROOT / "docs" / "results" / "results.csv"
 OUTPUTS = Path(folder("COPHY_OUTPUTS"))
 LOGS = OUTPUTS / "reproduce"
@@ -136,7 +136,7 @@ def rows_that_are_kept(results: Path) -> set[tuple[str, ...]]:
     is_current = (rows["training_seconds"] == "0") | (rows["optimizer"] != "")
     oracles = results.with_name("oracles.csv")  # for shares of the possible gain
     errors = set(map(tuple, pd.read_csv(oracles, dtype=str)[ERRORS].to_numpy())) if oracles.exists() else set()
-    rows["tested"] = rows["datasets"].str.split().str[-1]
+    rows["test_dataset"] = rows["datasets"].str.split().str[-1]
     has_errors = rows[ERRORS].apply(tuple, axis=1).isin(errors)
     return set(map(tuple, rows[is_current & (~rows["model"].isin(ENDS) | has_errors)][ROW].to_numpy()))
 

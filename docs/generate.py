@@ -20,12 +20,12 @@ from result_claims import claims
 from result_entries import EntryError, entries_table
 from result_listings import checkpoints, column_meanings, derenderers, gpu_renderers, gpu_steps, gpu_trainings
 from result_runs import (
-    CHANGES,
     COLUMNS,
     COMPETING,
     COPIES,
     CURVES,
     GIVEN_MORE,
+    OF_ORACLES,
     ROOT,
     SCENARIOS,
     SIZES,
@@ -118,7 +118,7 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
     """Return the generated blocks by name."""
     return {
         **{f"leaderboard_{scenario}": partial(leaderboard, results, scenario) for scenario in SCENARIOS},
-        **{f"{scenario}_paper": partial(leaderboard, results, scenario, size="paper") for scenario in SCENARIOS},
+        "collision_paper": partial(leaderboard, results, "collision", size="paper"),
         **{f"{scenario}_full": partial(every_split, results, scenario) for scenario in SCENARIOS},
         "ratio_to_copy_c": partial(ratio_to_copy_c, results),
         "entries": entries_table,
@@ -325,7 +325,7 @@ def data_seeds(results: Results) -> str:
             cells = {
                 (measure, seed): results.cell(measure, scenario, split, method, **names)
                 for measure in ("mse", "twin_difference_explained")
-                for seed, names in enumerate(({}, {"change": rf"\+data_seed-1{CHANGES}"}))
+                for seed, names in enumerate(({}, {"change": rf"\+data_seed-1({OF_ORACLES})?"}))
             }
             if cells["mse", 1]:
                 texts = [cell.full(*((3, 1) if key[0] == "mse" else (0, 100))) for key, cell in cells.items()]
@@ -349,9 +349,7 @@ def alongside_parts(results: Results) -> str:
     rows = []
     for model in PARTS:
         pairs = (cells[model, scenario] for scenario in shown)
-        rows.append(
-            [f"`{model}`", *(f"{mse.short()}; {twins.number(0, 100)} %" for mse, twins in pairs if mse and twins)]
-        )
+        rows.append([f"`{model}`", *(f"{mse.short()}; {twins.number(0, 100)} %" for mse, twins in pairs)])
     heads = (f"{SCENARIOS[scenario]} {columns(scenario)[CURVES[scenario]]}" for scenario in shown)
     return markdown(["MSE, m²; twins", *heads], rows)
 

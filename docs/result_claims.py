@@ -49,17 +49,16 @@ def compared(
 
 
 def side(results: Results, measure: str, method: str, other: str, place: list[str], names: Mapping[str, str]) -> int:
-    """Return 1 if a method is better than another by more than the root of the sum of their squared errors, -1 if worse, else 0.
+    """Return 1 if a method is better than another by more than both uncertainties, added in quadrature, -1 if worse, else 0.
 
-    The error of a method is its distance from the farthest end of an interval of its seeds. Errors on the same experiments are
-    positively correlated, so this asks for more than a paired test.
+    An uncertainty is the distance from the mean to the farthest end of the seeds' intervals. The comparison is unpaired.
     """
     one, two = (results.cell(measure, *place, name, **names) for name in (method, other))
     if one is None or two is None:
         raise SystemExit(f"claims.yaml: no {measure} of {method} or {other} on {' '.join(place)}")
     lead = (one.value - two.value) * (1 if measure in PERCENT else -1)
-    errors = (max(cell.value - cell.lowest, cell.highest - cell.value) for cell in (one, two))
-    return 0 if abs(lead) <= hypot(*errors) else int(copysign(1, lead))
+    uncertainties = (max(cell.value - cell.lowest, cell.highest - cell.value) for cell in (one, two))
+    return 0 if abs(lead) <= hypot(*uncertainties) else int(copysign(1, lead))
 
 
 def counted(sides: list[int]) -> str:

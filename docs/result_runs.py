@@ -24,8 +24,8 @@ GIVEN_MORE = (
     *("cophynet_without_pose", "trees_confounders", "oracle_feedforward", "oracle_initial_velocity"),
     *("oracle_confounders", "oracle_counterfactual", "noise_floor_rate", "noise_floor_jitter"),
 )
-# what a run may change beyond its names: on how many experiments oracles are asked, and a given de-renderer
-CHANGES = r"(\+max_experiments-\d+)?(\+derenderer-.*)?"
+OF_ORACLES = r"\+max_experiments-\d+"  # on how many experiments they are asked
+CHANGES = ("", OF_ORACLES, r"\+derenderer-.*")  # what a run may change beyond its names, in this order of preference
 SIZES = ("small", "paper")
 CURVES = {"blocktower": "3to3", "balls": "4to4", "collision": "all"}
 CURVE_METHODS = ("in", "in_sup", "cophynet", "alongside")
@@ -81,20 +81,23 @@ class Results:
                 self.named[tuple(run[name] for name in NAMES)].append(run)
 
     def of(
-        self, scenario: str, split: str, method: Mapping[str, str] | str, change: str = CHANGES, **others: str
+        self, scenario: str, split: str, method: Mapping[str, str] | str, change: str | None = None, **others: str
     ) -> list[Run]:
         """Return the runs of a method on a split, one per training seed; by default of size=small, on true positions.
 
         Args:
             scenario, split: Names as on the command line.
             method: Its name, or the model and ablation.
-            change: Pattern of what the runs change beyond their names.
+            change: Pattern of what the runs change beyond their names; by default the first of `CHANGES` that fits any.
             others: Further names.
         """
         keys = methods()[method].keys() if isinstance(method, str) else dict(method)
         names = {"size": "small", "positions": TRUE_POSITIONS} | others | keys | {"scenario": scenario, "split": split}
         named = self.named.get(tuple(names[name] for name in NAMES), [])
-        return [run for run in named if re.fullmatch(change, run["change"])]
+        for pattern in CHANGES if change is None else [change]:
+            if runs := [run for run in named if re.fullmatch(pattern, run["change"])]:
+                return runs
+        return []
 
     def cell(
         self, measure: str, scenario: str, split: str, method: Mapping[str, str] | str, **others: str

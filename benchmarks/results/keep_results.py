@@ -31,10 +31,7 @@ KEY = [*NAMES, "datasets", "num_train", "max_epochs"]
 SAME_RUN = [*KEY, "predictor", "training_seconds", "mse"]  # the seconds of two trainings differ
 ENDS = ("oracle_feedforward", "oracle_counterfactual")  # without AB, with AB
 DATA_KEYS = r"\+(size|data_seed|max_experiments)-\w+"  # parts of a variant that only say which experiments a run is on
-TESTED = [
-    "scenario",
-    "tested",
-]  # what a run and the oracles that it is compared with have in common: the dataset of the test
+TESTED = ["scenario", "test_dataset"]  # what a run and the oracles that it is compared with have in common
 ENDS_KEY = [*TESTED, "model"]
 PER_EXPERIMENT = ["experiment", "cluster", "truth", "mse"]  # see `Scores`
 SHARE = ["share", "share_low", "share_high"]
@@ -87,7 +84,7 @@ def line_of(path: Path, commit: str) -> dict[str, object]:
         for end, kind in (("", "metrics"), ("_low", "low"), ("_high", "high"))
     }
     ids = line["dataset_ids"]
-    names = {"datasets": " ".join(ids), "tested": ids[-1], "max_epochs": line["epochs"], "commit": commit}
+    names = {"datasets": " ".join(ids), "test_dataset": ids[-1], "max_epochs": line["epochs"], "commit": commit}
     return line | measures | names
 
 

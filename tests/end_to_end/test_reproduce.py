@@ -60,7 +60,7 @@ def test_a_row_of_the_results_is_not_made_again(
         "collision,all,2-x,oracle_feedforward,full,ground_truth,small,+data_seed-1,0,0,\n"  # without its errors
     )
     errors = "collision,2-x,oracle_counterfactual,7,1,2.5,0.1\ncollision,2-y,oracle_feedforward,7,1,2.5,0.1\n"
-    kept.with_name("oracles.csv").write_text("scenario,tested,model,experiment,cluster,truth,mse\n" + errors)
+    kept.with_name("oracles.csv").write_text("scenario,test_dataset,model,experiment,cluster,truth,mse\n" + errors)
     ran: list[str] = []
     monkeypatch.setattr(reproduce, "RESULTS", kept)
     monkeypatch.setattr(reproduce, "PARTS", {"rows": lambda size: jobs})

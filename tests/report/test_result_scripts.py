@@ -40,10 +40,10 @@ def test_shares_need_both_oracles_and_outlive_their_runs(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pair, mse = np.arange(40) // 2, {"cophynet": 2.0, "oracle_feedforward": 5.0, "oracle_counterfactual": 1.0}
-    names = {"scenario": "balls", "split": "4to4", "tested": "4-x", "size": "paper"}
+    names = {"scenario": "balls", "split": "4to4", "test_dataset": "4-x", "size": "paper"}
     runs = pd.DataFrame([{"model": model, "variant": "+size-paper"} | names for model in mse])
     own = runs.iloc[1:].assign(variant="+noise-1+size-paper")
-    elsewhere, split = runs[:1].assign(tested="4-y"), runs[:1].assign(split="3to4")
+    elsewhere, split = runs[:1].assign(test_dataset="4-y"), runs[:1].assign(split="3to4")
 
     def scores(run: dict[str, str]) -> Scores:
         value = mse[run["model"]] + 7.0 * ("noise" in run["variant"])
