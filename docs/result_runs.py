@@ -15,15 +15,10 @@ from cophy.report.paper_tables import TRUE_POSITIONS, methods, paper_tables, pub
 ROOT = Path(__file__).parents[1]
 SCENARIOS = {"blocktower": "Towers", "balls": "Balls", "collision": "Collisions"}
 COPIES = ("copy_c", "copy_b")
-COMPETING = (  # what sees no more than CoPhyNet, in the order of the tables
-    *(*COPIES, "copy_b_displaced", "replay", "trees", "in", "npe", "cophynet_feedforward", "cophynet", "cophynet_adam"),
-    *("cophynet_canonical", "gns", "transformer", "alongside", "alongside_noisy", "alongside_canonical"),
+COMPETING = tuple(  # what sees no more than CoPhyNet
+    name for name, method in methods().items() if method.model and method.competes and not method.simulates
 )
-GIVEN_MORE = (
-    *("alongside_posed", "hypotheses", "spheres", "in_sup", "in_without_pose", "cophynet_gt_confounders"),
-    *("cophynet_without_pose", "trees_confounders", "oracle_feedforward", "oracle_initial_velocity"),
-    *("oracle_confounders", "oracle_counterfactual", "noise_floor_rate", "noise_floor_jitter"),
-)
+GIVEN_MORE = tuple(name for name, method in methods().items() if method.model and name not in COMPETING)
 OF_ORACLES = r"\+max_experiments-\d+"  # on how many experiments they are asked
 CHANGES = ("", OF_ORACLES, r"\+derenderer-.*")  # what a run may change beyond its names, in this order of preference
 SIZES = ("small", "paper")

@@ -104,6 +104,23 @@ def test_seeds_on_other_data_are_not_averaged(generate: ModuleType, tmp_path: Pa
         results.cell("mse", "collision", "all", "alongside")
 
 
+def test_a_run_that_changes_more_is_not_averaged_with_one_that_does_not(generate: ModuleType, tmp_path: Path) -> None:
+    runs = pd.read_csv(TABLE, dtype=str, keep_default_na=False)
+    names = {
+        "scenario": "collision",
+        "split": "all",
+        "model": "copy_c",
+        "positions": "train_ground_truth_test_derendered",
+    }
+    estimated = runs[(runs[list(names)] == pd.Series(names)).all(axis=1)]
+    assert estimated["variant"].str.startswith("+derenderer-").all()
+    pd.concat([runs, estimated.assign(variant="", mse="7.5")]).to_csv(tmp_path / "results.csv", index=False)
+    cell = generate.Results(tmp_path / "results.csv").cell(
+        "mse", "collision", "all", "copy_c", positions=names["positions"]
+    )
+    assert (cell.value, cell.seeds) == (7.5, 1)
+
+
 def test_a_comparison_counts_clear_differences(generate: ModuleType, tmp_path: Path) -> None:
     claims: Any = importlib.import_module("result_claims")
     better = {"method": "alongside", "than": ["cophynet"], "columns": ["collision all", "balls 4to4"]}
