@@ -1,12 +1,14 @@
 """Make, or continue, the results of the docs: python benchmarks/reproduce.py [PART ...] [--scenario NAME] [--size NAME] [--plan]
 
-Parts: data (datasets), audit, headline (rows of the headline table: three training seeds, at size=small of all networks and on two
-datasets), oracles, rows (every method of the paper's tables on every split, from true positions), derenderers, estimated (the same
-rows, tested on positions estimated from images), curves (learning curves), tables (results.csv, then tables and figures of the
-docs). All by default. Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side, here or
-each as a job of a cluster (--launcher slurm). What is finished or has a row in docs/results/results.csv is skipped (delete the row
-to make it again; trainings without a recorded optimiser are made again, and oracles without errors in oracles.csv), and what was
-interrupted continues. Logs: reproduce/ in the folder of outputs.
+Parts: data (datasets), audit, headline (rows of the headline table: three training seeds, at size=small of all networks; and there
+one seed on a second dataset), oracles, rows (every method of the paper's tables on every split, from true positions), derenderers,
+estimated (the same rows, tested on positions estimated from images; at size=small by the published de-renderers, with published
+weights where there are), curves (learning curves), tables (results.csv, then tables and figures of the docs). All by default.
+
+Prints the plan with the CPU-hours and the disk that are left, then runs the commands side by side, here or each as a job of a
+cluster (--launcher slurm). What is finished or has a row in docs/results/results.csv is skipped (delete the row to make it again;
+trainings without a recorded optimiser are made again, and oracles without errors in oracles.csv), and what was interrupted
+continues. Start it at the root of the project. Logs: reproduce/ in the folder of outputs.
 """
 
 import os
@@ -40,6 +42,7 @@ ROOT = Path(__file__).parents[1]
 ROW = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]  # columns of results.csv
 ERRORS = ["scenario", "test_dataset", "model"]  # columns of oracles.csv
 RESULTS = ROOT / "docs" / "results" / "results.csv"
+CHECKPOINTS = ROOT / "checkpoints"
 OUTPUTS = Path(folder("COPHY_OUTPUTS"))
 LOGS = OUTPUTS / "reproduce"
 HEADLINE = {
@@ -78,6 +81,7 @@ CURVES = ["in", "in_sup", "cophynet", "alongside"]
 CURVE_COUNTS = (700, 2800, 8400)  # training experiments, besides all
 DATASETS = {"blocktower": [3, 4], "balls": [2, 3, 4, 5, 6], "collision": [2]}
 AUDIT_HOURS = 0.05  # estimated
+TEST_HOURS = 0.01  # ours: of published weights, whose test images another run has drawn
 DERENDERER_HOURS = 0.3  # 20,000 frames at 112 px (docs/guides/images.md)
 ORACLE_EXPERIMENTS = 100  # ours: a quarter of the test split of size=small
 ORACLE_HOURS = ORACLE_EXPERIMENTS * SECONDS_PER_EXPERIMENT / 3600
@@ -173,6 +177,8 @@ def headline_jobs(size: str) -> Iterator[Job]:
             rows = [*TREES, *NETWORKS] if seed else [*UNTRAINED, *TREES, *NETWORKS]
             rows += NEWER if split == splits[0] else []
             rows += ONCE if seed == data_seed == 0 and split == splits[0] else []
+            if data_seed and (seed or split != splits[0]):
+                continue
             for row in rows:
                 is_wanted = size == "small" or seed == 0 or row in SEEDED_OTHERS
                 if is_wanted and ONLY.get(row, scenario) == scenario:
@@ -195,16 +201,30 @@ def row_jobs(size: str) -> Iterator[Job]:
 
 
 def derenderer_jobs(size: str) -> Iterator[Job]:
-    """The networks that estimate positions from images, one per scenario."""
+    """The networks that estimate positions from images, one per scenario without a published one."""
     for scenario, (split, changes) in DERENDERERS.items():
-        yield replace(run_job(scenario, split, DERENDERER, size, changes=changes), hours=DERENDERER_HOURS)
+        if not published(scenario, split, DERENDERER, size):
+            yield replace(run_job(scenario, split, DERENDERER, size, changes=changes), hours=DERENDERER_HOURS)
 
 
 def estimated_jobs(size: str) -> Iterator[Job]:
-    """Every method of the tables on estimated positions, with one seed; trainings on true positions are used again."""
+    """Every method of the tables on estimated positions, with one seed; weights from true positions are used again."""
     for scenario, split, row, positions in table_rows(size, estimated=True):
         if is_derendered(row):
-            yield run_job(scenario, split, row, size, positions=positions)
+            derenderer = published(scenario, split, DERENDERER, size)
+            predictor = published(scenario, split, row, size) if positions == ESTIMATED_IN_TESTING else None
+            yield run_job(scenario, split, row, size, positions=positions, derenderer=derenderer, predictor=predictor)
+
+
+@cache
+def published(scenario: str, split: str, row: str, size: str) -> str | None:
+    """Return the published weights of a method with the training data of this split, of any for a de-renderer."""
+    for file in pd.read_csv(CHECKPOINTS / "index.csv").itertuples() if size == "small" else ():
+        if (file.scenario, file.method) == (scenario, row) and (
+            row == DERENDERER or training_of(scenario, file.split, size) == training_of(scenario, split, size)
+        ):
+            return f"{CHECKPOINTS.name}/{file.file}"
+    return None
 
 
 @cache
@@ -252,9 +272,9 @@ def training_of(scenario: str, split: str, size: str) -> tuple[str, int, int]:
     """Return what tells the training data of a split from those of others, how many experiments these are, and `epochs_factor`."""
     config = settings("train", f"scenario={scenario}", f"split={split}", f"size={size}")
     part = config.split.train
-    states = generated_by(config)[0]
+    (spec,) = (states.spec for states in generated_by(config) if states.spec.num_objects == part.num_objects)
     halves = sum(each is not None for each in (part.moving, part.configurations))  # one of two shapes, or seen ones
-    experiments = round(FRACTIONS[0] * states.spec.num_experiments / 2**halves)
+    experiments = round(FRACTIONS[0] * spec.num_experiments / 2**halves)
     return str(part), experiments, config.split.epochs_factor
 
 
@@ -274,24 +294,28 @@ def run_job(
     data_seed: int = 0,
     positions: str = TRUE_POSITIONS,
     changes: Mapping[str, Any] | None = None,
+    derenderer: str | None = None,
+    predictor: str | None = None,
 ) -> Job:
     """Return the job of one run of train.py.
 
     Args:
         row: A method's name, or DERENDERER.
-        changes: Keys of its configuration, with their values.
+        changes: Keys of its configuration that matter for training, with their values.
+        derenderer: Its checkpoint that estimates positions; None for the one in the folder of outputs.
+        predictor: A checkpoint to test instead of training.
     """
     names = {"model": row, "ablation": "full"} if row == DERENDERER else methods()[row].keys()
     changed = {"size": size if size != "small" else None, "data_seed": data_seed or None, **(changes or {})}
-    change = variant({key: value for key, value in changed.items() if value is not None})
+    changed = {key: value for key, value in changed.items() if value is not None}
+    tested = {"derenderer": derenderer} if derenderer else {}
+    change = variant(changed | tested)
     place = Run(scenario, split, names["model"], names["ablation"], positions, seed, size, change, Path()).place
     command = ["train", f"scenario={scenario}", f"split={split}"]
     method = f"model={row}" if row == DERENDERER else f"+row={row}"
     command += [method, f"size={size}", f"seed={seed}"]
-    command += [
-        f"data_seed={data_seed}",
-        *(f"{key}={value}".replace(" ", "") for key, value in (changes or {}).items()),
-    ]
+    keys = {"data_seed": data_seed, **(changes or {}), **tested, **({"predictor": predictor} if predictor else {})}
+    command += [f"{key}={value}".replace(" ", "") for key, value in keys.items()]
     command += [f"positions={positions}"] if positions != TRUE_POSITIONS else []
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
     identity = (scenario, split, names["model"], names["ablation"], positions, size, change, str(seed))
@@ -299,9 +323,10 @@ def run_job(
     epochs = epochs_of(method, size) * factor
     experiments = (changes or {}).get("training.num_experiments", experiments)
     seconds = known_seconds().get((scenario, names["model"], names["ablation"]), float("nan")) * experiments * epochs
+    hours = TEST_HOURS if predictor else seconds / 3600
     sees_estimates = positions not in (TRUE_POSITIONS, ESTIMATED_IN_TESTING)
-    training = (scenario, trained_on, row, seed, change, sees_estimates)
-    return Job(scenario, command, OUTPUTS / place / METRICS, seconds / 3600, row=identity, training=training)
+    training = None if predictor else (scenario, trained_on, row, seed, variant(changed), sees_estimates)
+    return Job(scenario, command, OUTPUTS / place / METRICS, hours, row=identity, training=training)
 
 
 PARTS = {

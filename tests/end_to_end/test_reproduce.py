@@ -81,6 +81,30 @@ def test_rows_on_estimated_positions_use_the_trainings_on_true_ones_again(reprod
     assert len({job.finished for job in [*true, *tested, *trained]}) == 6
 
 
+def test_published_weights_are_tested_on_positions_of_published_derenderers(reproduce: ModuleType) -> None:
+    jobs = {(job.command[2], job.command[3], job.row[4]): job for job in reproduce.estimated_jobs("small")}
+
+    def changed(split: str, row: str, positions: str = "train_ground_truth_test_derendered") -> set[str]:
+        command = jobs[f"split={split}", f"+row={row}", positions].command
+        return {key for key in command if key.startswith(("predictor=", "derenderer="))}
+
+    assert changed("4to2", "cophynet") == {
+        "predictor=checkpoints/balls_4to4_cophynet.ckpt",
+        "derenderer=checkpoints/balls_derenderer.ckpt",
+    }
+    derenderer = {"derenderer=checkpoints/blocktower_derenderer.ckpt"}
+    assert changed("4to4_unseen", "cophynet") == derenderer  # there are no weights with this training
+    assert changed("3to4", "cophynet") == derenderer | {"predictor=checkpoints/blocktower_3to3_cophynet.ckpt"}
+    assert changed("3to4", "cophynet", "derendered") == derenderer
+    assert {job.row[6] for job in jobs.values() if job.scenario == "balls"} == {
+        "+derenderer-checkpoints_balls_derenderer.ckpt"  # the variant of the rows in results.csv
+    }
+    at_paper = [key for job in reproduce.estimated_jobs("paper") for key in job.command]
+    assert not any(key.startswith(("predictor=", "derenderer=")) for key in at_paper)
+    assert {job.scenario for job in reproduce.derenderer_jobs("paper")} == {"blocktower", "balls", "collision"}
+    assert list(reproduce.derenderer_jobs("small")) == []
+
+
 def test_the_parts_have_what_their_tables_need(reproduce: ModuleType) -> None:
     cells = set(reproduce.table_rows("small", estimated=True))
     assert ("blocktower", "3to3", "cophynet", "derendered") in cells  # Table 7
@@ -110,6 +134,8 @@ def test_the_plan_counts_what_is_seen_in_training(reproduce: ModuleType) -> None
     """† has half of the experiments and twice the epochs, a transfer half, a point of a learning curve its own number."""
     whole, unseen = (reproduce.run_job("blocktower", split, "cophynet", "small") for split in ("3to3", "3to3_unseen"))
     assert unseen.hours == pytest.approx(whole.hours)
+    four, two = (reproduce.run_job("balls", split, "cophynet", "small") for split in ("4to4", "4to2"))
+    assert four.training == two.training
     both, one = (reproduce.run_job("collision", split, "cophynet", "small") for split in ("all", "sphere_to_cylinder"))
     assert one.hours == pytest.approx(both.hours / 2)
     changes = {"training.num_experiments": 700}

@@ -148,8 +148,8 @@ def run(tmp_path: Path) -> Run:
     return make_run(tmp_path, "4to4")
 
 
-def make_run(root: Path, split: str) -> Run:
-    run = Run("balls", split, "cophynet", "full", "ground_truth", 1, "tiny", "", root)
+def make_run(root: Path, split: str, variant: str = "") -> Run:
+    run = Run("balls", split, "cophynet", "full", "ground_truth", 1, "tiny", variant, root)
     run.directory = root / run.place
     return run
 
@@ -163,10 +163,13 @@ def leave_checkpoints(run: Run, text: str = "weights") -> None:
 FACTS = {"training_seconds": 3.0, "training_cpu_seconds": 2.0, "resumed": 0, "validation": {"val/mse": 1.0}}
 
 
-def test_a_finished_training_is_found_in_another_split(run: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("split", "variant"), [("4to3", ""), ("4to4", "+derenderer-x")])
+def test_a_finished_training_is_found_in_a_run_with_another_test(
+    split: str, variant: str, run: Run, tmp_path: Path
+) -> None:
     leave_checkpoints(run)
     record_finished(run, "same", FACTS)
-    other = make_run(tmp_path, "4to3")
+    other = make_run(tmp_path, split, variant)
     start = start_training(other, "same", reuse=True, ckpt=None)
     assert start == (FACTS, other.checkpoints / "best.ckpt", 0, False)
     assert (other.checkpoints / "best.ckpt").read_text() == "weights"

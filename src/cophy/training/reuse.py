@@ -188,11 +188,12 @@ def record_finished(run: Run, wanted: str, facts: dict[str, Any]) -> None:
 
 
 def _find_finished(run: Run, wanted: str) -> Path | None:
-    """Return checkpoints of a finished training with this fingerprint: the run's own, or those of another split."""
+    """Return checkpoints of a finished training with this fingerprint: the run's own, or those of a run with another test."""
     directories = [run.directory]
     if run.root is not None:
-        scenario, _, model, ablation, _, seed = run.place.parts
-        directories += sorted(run.root.glob(str(Path(scenario, "*", model, ablation, "*", seed))))
+        directories += sorted(
+            run.root.glob(str(Path(run.scenario, "*", run.model, run.ablation, "*", f"seed{run.seed}*")))
+        )
     for checkpoints in (directory / "checkpoints" for directory in directories):
         if _read(checkpoints, FINISHED).get("fingerprint") == wanted and _is_complete(checkpoints):
             return checkpoints
