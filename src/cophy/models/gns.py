@@ -3,7 +3,7 @@
     AB --GCN per frame, GRU over time--> u                              (as CoPhyNet)
     node k: [last velocities, height, distances to walls, u]  --encode--> x^k
     edge jk: [offset, distance]                                --encode--> e^jk
-    M times, with weights of their own: e' = e + MLP(e, x^k, x^j);  x' = x + MLP(x, Σ_j e'^jk)
+    M times, with weights of their own: m = MLP(e, x^k, x^j);  x' = x + MLP(x, Σ_j m^jk);  e' = e + m
     x --decode--> acceleration a;  v' = v + a;  o' = o + v'            (semi-implicit Euler, one step per frame)
 
 All MLPs but the decoder end in a LayerNorm. As published: no absolute position on the floor, weights that differ between
@@ -33,7 +33,7 @@ from cophy.models.rollout import share_within
 from cophy.types import Inputs, Prediction
 
 NEAR_WALL_M = 1.0  # ours: distances to walls are clipped there; a ball touches at half of it
-INITIAL_ACCELERATION_SCALE = 0.1  # of the decoder's last weights: before training, objects nearly stay
+INITIAL_ACCELERATION_SCALE = 0.01  # of the decoder's last weights: before training, objects nearly stay
 
 
 def encoder(input_dim: int, hidden_dim: int) -> nn.Sequential:
@@ -54,8 +54,8 @@ class MessagePassing(nn.Module):
     ) -> tuple[Float[Tensor, "batch slots h"], Float[Tensor, "batch others slots h"]]:
         """Return new nodes and edges."""
         receivers = nodes[:, None].expand_as(edges)
-        edges = edges + self.edge(torch.cat([edges, receivers, others(nodes)], dim=-1))
-        return nodes + self.node(torch.cat([nodes, graph.sum_over_senders(edges)], dim=-1)), edges
+        messages = self.edge(torch.cat([edges, receivers, others(nodes)], dim=-1))
+        return nodes + self.node(torch.cat([nodes, graph.sum_over_senders(messages)], dim=-1)), edges + messages
 
 
 class GNS(nn.Module):
@@ -115,6 +115,7 @@ class GNS(nn.Module):
         last = self.decode[-1]
         assert isinstance(last, nn.Linear)
         nn.init.normal_(last.weight, std=INITIAL_ACCELERATION_SCALE / hidden_dim**0.5)
+        nn.init.zeros_(last.bias)
 
     def forward(self, inputs: Inputs) -> Prediction:
         """Predict D, one step per frame of AB after the first."""
