@@ -20,7 +20,7 @@ from torch import Tensor
 import cophy
 from cophy.config import folder
 from cophy.dataset.features import to_batch
-from cophy.models.hypotheses import Towers, find_joints, yaw_of
+from cophy.models.hypotheses import TowerHypotheses, find_joints, yaw_of
 from cophy.models.trees import Trees
 from cophy.scenario import Blocktower
 from cophy.training.metrics import mean_squared_error
@@ -86,7 +86,7 @@ def margins_of_c(arrays: Mapping[str, np.ndarray], inputs: Inputs, with_yaw: boo
     tilt = torch.from_numpy(arrays["gravity"][:, :2] / -arrays["gravity"][:, 2:]).float()[:, None]
     assert inputs.pose is not None
     yaw = yaw_of(inputs.pose) if with_yaw else None
-    margins = find_joints(Towers(inputs.initial, inputs.presence, yaw, mass, tilt)).margin  # edges are 1 m
+    margins = find_joints(TowerHypotheses(inputs.initial, inputs.presence, yaw, mass, tilt)).margin  # edges are 1 m
     return margins[:, 0].amin(dim=1)
 
 

@@ -8,14 +8,14 @@ import torch
 from torch import Tensor
 
 from cophy.dataset.features import poses
-from cophy.models.hypotheses import MAX_MARGIN, NEAR, Towers, describe, find_joints, yaw_of
+from cophy.models.hypotheses import MAX_MARGIN, NEAR, TowerHypotheses, describe, find_joints, yaw_of
 from cophy.scenario import Shape
 from cophy.scenario.statics import joint_margins
 from cophy.types import Inputs, take
 from tests.models.networks import NUM_FRAMES, build, present_positions, random_batch
 
 
-def random_towers(levels: int, *, is_turned: bool, count: int = 50) -> Towers:
+def random_towers(levels: int, *, is_turned: bool, count: int = 50) -> TowerHypotheses:
     """Return towers from the ground up, and two hypotheses of each."""
     generator = torch.Generator().manual_seed(levels)
     xy = 0.25 * torch.randn(count, levels, 2, generator=generator)
@@ -26,7 +26,9 @@ def random_towers(levels: int, *, is_turned: bool, count: int = 50) -> Towers:
     position = torch.cat([xy, z[..., None]], dim=-1)
     if not is_turned:  # along one axis, discs and squares are equal
         position[..., 1], tilt[..., 1] = 0.0, 0.0
-    return Towers(position, torch.ones(count, levels, dtype=torch.bool), yaw if is_turned else None, mass, tilt)
+    return TowerHypotheses(
+        position, torch.ones(count, levels, dtype=torch.bool), yaw if is_turned else None, mass, tilt
+    )
 
 
 @pytest.mark.parametrize("levels", [2, 3, 4])
@@ -48,7 +50,7 @@ def test_margins_are_those_of_statics(levels: int, is_turned: bool) -> None:
 def test_a_load_bears_where_the_lever_says() -> None:
     """Two blocks, the upper one of mass 3 and 0.2 to the right, and gravity that leans to the right by 0.1."""
     position = torch.tensor([[[0.0, 0.0, 0.5], [0.2, 0.0, 1.5]]])
-    towers = Towers(
+    towers = TowerHypotheses(
         position, torch.ones(1, 2, dtype=torch.bool), None, torch.tensor([[1.0, 3.0]]), torch.tensor([[0.1, 0.0]])
     )
     joints = find_joints(towers)
@@ -70,7 +72,7 @@ def test_empty_slots_change_no_joint_and_blocks_come_in_any_order() -> None:
         filling = values.new_full(shape, value)
         return torch.cat([values, filling], dim=axis).index_select(axis, torch.tensor(order))
 
-    more = Towers(
+    more = TowerHypotheses(
         padded(towers.position, 7.0, 1),
         padded(towers.presence, False, 1),
         padded(towers.yaw, 0.3, 1),
@@ -134,7 +136,7 @@ def test_features_turn_with_the_tower() -> None:
 def test_a_load_topples_by_torque_over_inertia() -> None:
     """Blocks of masses 1 and 10 above each other, both 0.55 to the right of the block below, whose edge is at 0.5."""
     position = torch.tensor([[[0.0, 0.0, 0.5], [0.55, 0.0, 1.5], [0.55, 0.0, 2.5]]])
-    towers = Towers(
+    towers = TowerHypotheses(
         position,
         torch.ones(1, 3, dtype=torch.bool),
         torch.zeros(1, 3),
@@ -152,7 +154,7 @@ def test_margins_above_and_below_are_told_apart() -> None:
     """Discs in a row along x: from the ground up, the margins are 0.13, -0.05 and 0.4."""
     x = torch.tensor([0.0, 0.5, 0.6])
     position = torch.stack([x, torch.zeros(3), torch.arange(3) + 0.5], dim=-1)[None]
-    towers = Towers(position, torch.ones(1, 3, dtype=torch.bool), None, torch.ones(1, 3), torch.zeros(1, 2))
+    towers = TowerHypotheses(position, torch.ones(1, 3, dtype=torch.bool), None, torch.ones(1, 3), torch.zeros(1, 2))
     margin = find_joints(towers).margin[0, 0]
     torch.testing.assert_close(margin, torch.tensor([0.5 - 1.1 / 3, -0.05, 0.4]), atol=1e-4, rtol=0)
     own, smallest, second, above, below = describe(towers)[0][0, 0, :, 16:21].T

@@ -5,6 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from cophy.models.gns import MessagePassing
+from cophy.models.layers import radius_graph
 from cophy.training.losses import position_loss, stability_loss
 from cophy.types import Batch, map_tensors, take
 from tests.models.networks import (
@@ -80,6 +82,21 @@ def test_every_parameter_gets_a_gradient(name: str, batch: Batch) -> None:
         loss = loss + stability_loss(prediction.stable_logit, batch.targets)
     loss.backward()
     assert [key for key, p in network.named_parameters() if p.grad is None or not p.grad.any()] == []
+
+
+@pytest.mark.parametrize("name", ["gns", "gns_walls"])
+def test_objects_of_an_untrained_gns_nearly_stay(name: str, batch: Batch) -> None:
+    moved = present_positions(build(name)(batch.inputs), batch.inputs) - batch.inputs.initial[:, None]
+    assert moved.norm(dim=-1).max() < 0.05 * NUM_FRAMES**2 / 2
+
+
+def test_a_node_of_gns_sums_messages_without_their_residuals() -> None:
+    """As published: residual nodes and edges are added after a step of message passing."""
+    torch.manual_seed(0)
+    step, nodes, edges = MessagePassing(4), torch.randn(1, 3, 4), torch.randn(1, 2, 3, 4)
+    presence = torch.ones(1, 3, dtype=torch.bool)
+    new_nodes, new_edges = step(nodes, edges, radius_graph(torch.zeros(1, 3, 3), presence, None))
+    torch.testing.assert_close(new_nodes, nodes + step.node(torch.cat([nodes, (new_edges - edges).sum(dim=1)], dim=-1)))
 
 
 @pytest.mark.parametrize("name", TRAINED)

@@ -9,7 +9,7 @@ import pytest
 
 from cophy.dataset.states import build_scene, do_operation_of
 from cophy.errors import CophyError
-from cophy.oracles.posterior import ConfigurationSearch, Hypotheses, posterior, resample
+from cophy.oracles.posterior import ConfigurationSearch, Outcomes, posterior, resample
 from cophy.scenario import Experiment, Scenario, Scene, Simulator, Trajectory
 from cophy.scenario.simulator import CachingSimulator
 
@@ -22,13 +22,13 @@ def trajectory(x: float) -> Trajectory:
 
 
 def test_what_is_enumerated_has_a_weighted_mean_and_no_variance() -> None:
-    hypotheses = Hypotheses([trajectory(0.0), trajectory(4.0)], np.array([0.75, 0.25]))
+    hypotheses = Outcomes([trajectory(0.0), trajectory(4.0)], np.array([0.75, 0.25]))
     assert hypotheses.mean(hypotheses.states)[0, 0, 0] == 1.0
     assert (hypotheses.variance_of_mean(hypotheses.states) == 0).all()
 
 
 def test_the_variance_of_a_mean_is_that_of_independent_draws() -> None:
-    hypotheses = Hypotheses.drawn([[trajectory(x)] for x in (1.0, 2.0, 3.0)])
+    hypotheses = Outcomes.drawn([[trajectory(x)] for x in (1.0, 2.0, 3.0)])
     assert hypotheses.mean(hypotheses.states)[0, 0, 0] == pytest.approx(2.0)
     assert hypotheses.variance_of_mean(hypotheses.states)[0, 0, 0] == pytest.approx(1.0 / 3)
 
@@ -39,7 +39,7 @@ def test_the_squared_error_without_the_variance_is_that_of_the_exact_mean() -> N
     for _ in range(2000):
         shared, independent = rng.normal(size=(4, 1)), rng.normal(size=(4, 2))
         twins = np.sqrt(alike) * shared + np.sqrt(1 - alike) * independent
-        hypotheses = Hypotheses.drawn([[trajectory(x) for x in pair] for pair in twins.tolist()])
+        hypotheses = Outcomes.drawn([[trajectory(x) for x in pair] for pair in twins.tolist()])
         error = (hypotheses.mean(hypotheses.states)[0, 0, 0] - rng.normal()) ** 2
         naive.append(error)
         unbiased.append(error - hypotheses.variance_of_mean(hypotheses.states)[0, 0, 0])
@@ -50,7 +50,7 @@ def test_the_squared_error_without_the_variance_is_that_of_the_exact_mean() -> N
 ASKED = {"draws": 4, "max_configurations": 300, "noise": 0.05}
 
 
-def with_ab(scenario: Scenario, twin: Experiment, simulator: Simulator) -> Hypotheses:
+def with_ab(scenario: Scenario, twin: Experiment, simulator: Simulator) -> Outcomes:
     seen = twin.observed.positions[:: scenario.clock.states_per_frame]
     rng = np.random.default_rng(0)
     return posterior(scenario, twin.scene, twin.do_operation, seen, **ASKED, rng=rng, simulator=simulator)
@@ -70,7 +70,7 @@ def test_ab_narrows_down_what_d_could_be(name: str, num_objects: int, scenario_o
     assert of_with < 0.2 * of_without
 
 
-def error(hypotheses: Hypotheses, twin: Experiment) -> float:
+def error(hypotheses: Outcomes, twin: Experiment) -> float:
     """Mean squared error of the mean of D, m²."""
     difference = hypotheses.mean(hypotheses.states[..., :3]) - twin.counterfactual.positions
     return float(np.square(difference)[:, twin.counterfactual.presence].mean())

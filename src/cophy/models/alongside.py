@@ -32,7 +32,6 @@ from cophy.models.cophynet import gate
 from cophy.models.frames import check_frame, predict_in_frame
 from cophy.models.layers import (
     Appearance,
-    Graph,
     PairwiseMLP,
     check_at_least,
     check_layers,
@@ -72,11 +71,11 @@ class EgoFeatures:
 
     def compute(
         self,
-        position: Float[Tensor, "batch slots 3"],
-        motion: Float[Tensor, "batch slots 3"],
+        position: Float[Tensor, "batch *time slots 3"],
+        motion: Float[Tensor, "batch *time slots 3"],
         reach: Float[Tensor, ""],
         inputs: Inputs,
-    ) -> Float[Tensor, "batch slots features"]:
+    ) -> Float[Tensor, "batch *time slots features"]:
         """Return the features of all objects.
 
         Args:
@@ -126,15 +125,14 @@ class History(nn.Module):
             Features of every object and the messages of every pair, at every frame.
         """
         batch, time, slots, _ = inputs.observed.shape
-        ego = [self.ego.compute(inputs.observed[:, t], before[:, t], self.contacts.reach, inputs) for t in range(time)]
+        ego = self.ego.compute(inputs.observed, before, self.contacts.reach, inputs)
         position, motion, change = (each.flatten(0, 1) for each in (inputs.observed, before, after - before))
-        nodes = torch.cat([torch.stack(ego, dim=1).flatten(0, 1), change], dim=-1)
+        nodes = torch.cat([ego.flatten(0, 1), change], dim=-1)
         pose = None if inputs.pose is None else inputs.pose.repeat_interleave(time, dim=0)
         contact = self.contacts(position, motion, pose)
         relations = torch.cat([offsets(position), contact.features(), contact.along(change)], dim=-1)
         messages = self.messages(nodes, relations)
-        graph = mean_graph(inputs.observed_presence, position.dtype)
-        graph = Graph(*(weights.repeat_interleave(time, dim=0) for weights in vars(graph).values()))
+        graph = mean_graph(inputs.observed_presence.repeat_interleave(time, dim=0), position.dtype)
         received = graph.sum_over_senders(messages)
         frames = self.frame(torch.cat([nodes, received], dim=-1)).view(batch, time, slots, -1)
         states, _ = self.over_time(frames.transpose(1, 2).flatten(0, 1))

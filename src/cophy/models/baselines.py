@@ -56,7 +56,7 @@ class DisplacedCopyB(CopyB):
         return replace(copy, position=copy.position + displacement[:, None])
 
 
-class Contact(NamedTuple):
+class Touch(NamedTuple):
     """Where two discs first touch if the moving one keeps its heading. Lengths in metres; (x, y) of the moving, then the static.
 
     Attributes:
@@ -72,7 +72,7 @@ class Contact(NamedTuple):
     axes: Float[Tensor, "batch 2 2"]
 
 
-def find_contact(start: Float[Tensor, "batch 2 2"], heading: Float[Tensor, "batch 2"], diameter: float) -> Contact:
+def find_contact(start: Float[Tensor, "batch 2 2"], heading: Float[Tensor, "batch 2"], diameter: float) -> Touch:
     """Return the contact of two discs, the first of which moves along the heading, a unit vector."""
     across = rotate_quarter(heading)
     between = start[:, 1] - start[:, 0]
@@ -81,7 +81,7 @@ def find_contact(start: Float[Tensor, "batch 2 2"], heading: Float[Tensor, "batc
     line = (depth * heading + offset.clamp(-diameter, diameter) * across) / diameter
     position = torch.stack([start[:, 0] + (ahead - depth) * heading, start[:, 1]], dim=1)
     axes = torch.stack([line, rotate_quarter(line)], dim=1)
-    return Contact(ahead - depth, (offset.abs() < diameter) & (ahead > 0), position, axes)
+    return Touch(ahead - depth, (offset.abs() < diameter) & (ahead > 0), position, axes)
 
 
 def rotate_quarter(vector: Float[Tensor, "*any 2"]) -> Float[Tensor, "*any 2"]:
@@ -95,7 +95,7 @@ class Replay(nn.Module):
     The moving object of AB goes straight on in C until the objects touch. From then on, with n along the line of centres, t
     across it, u the unit vector of the heading, and AB and D relative to the positions at the contact,
 
-        D_n = u_n^C AB_n / u_n^A        D_t = u_t^C (u_t^A AB_t + ε² P) / ((u_t^A)² + ε²)
+        D_n = u_n^C AB_n / max(u_n^A, ε)        D_t = u_t^C (u_t^A AB_t + ε² P) / ((u_t^A)² + ε²)
 
     at equal times after it. A head-on AB does not show the response across, so that it is shrunk towards a prior P: the
     moving object keeps a share of its speed, the other one gets none.
@@ -107,7 +107,8 @@ class Replay(nn.Module):
         Args:
             diameter: Of both objects, metres; None in a scenario without collisions of two objects.
             kept_speed: Share of the moving object's speed across the line of centres in the prior.
-            shrinkage: ε, the sine of the angle of impact in AB at which the prior counts as much as AB.
+            shrinkage: ε, the sine of the angle of impact in AB at which the prior counts as much as AB; also the smallest cosine
+                of that angle, so that a grazing impact is not blown up.
 
         Raises:
             CophyError: The scenario is another one, or an argument is out of its range.

@@ -16,7 +16,7 @@ from cophy.types import POSE_ANGLES
 CONTACT_DIM = 5  # features of a contact
 OFFSET_DIM = 4  # features of `offsets`
 EPSILON = 1e-8  # m²: keeps the slope of square roots finite
-IMPULSE_LOGIT_OFFSET = 2.0  # approach and slip are reversed by σ(-2) = 12 % at the start of training
+IMPULSE_LOGIT_OFFSET = 2.0  # the shares of the largest impulse are σ(-2) = 12 % at the start of training
 ITERATIONS = 4  # ours: after them, a disc that meets a square is within millimetres of it
 MIN_SLOPE = 0.1  # ours: of the distance along the way; what grazes more moves on in shorter steps
 HALF_EDGE_M = 0.5  # of a lying cylinder, which is 1 m long and wide
@@ -71,8 +71,8 @@ class Contact:
     def impulse(self, logits: Float[Tensor, "batch others slots 3"]) -> Float[Tensor, "batch others slots 3"]:
         """Return the change of the object's motion by the other, metres per step.
 
-        A pair conserves momentum for masses that fit its shares, which sum to 1, and gains no energy: it reverses approach and
-        slip at most.
+        A pair conserves momentum for masses that fit its shares, which sum to 1, and gains no energy: it reverses the
+        approach and removes the slip at most.
 
         Args:
             logits: Of how far approach and slip are reversed, summed over both objects, and of the object's share in these

@@ -286,7 +286,11 @@ class CoPhyNet(nn.Module):
         self.appearance = Appearance(object_type, pose)
         position_dim = 3 + self.appearance.width
         knows_confounders = self.source in (ConfounderSource.ground_truth, ConfounderSource.without_pose)
-        check_frame(canonical_frame, knows_confounders=knows_confounders)
+        check_frame(canonical_frame)
+        if decoding_option is Decoding.single_step and gating_option is not Gating.per_step:
+            raise CophyError(
+                "model.gating has no effect with model.decoding=single_step, which decides once: leave it out"
+            )
         self.canonical_frame = canonical_frame
 
         def make_convolution(input_dim: int) -> nn.Module:

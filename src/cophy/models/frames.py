@@ -15,18 +15,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cophy.errors import CophyError
-from cophy.types import POSE_ANGLES, Inputs, Prediction
+from cophy.types import HORIZONTAL, POSE_ANGLES, Inputs, Prediction
 
 SCENARIOS = ("collision", "balls", "blocktower")
 EPSILON = 1e-12
 
 
-def check_frame(name: str | None, *, knows_confounders: bool = False) -> None:
-    """Raise a CophyError if a scenario has no canonical frame, or if a model sees true confounders, which a frame leaves."""
+def check_frame(name: str | None) -> None:
+    """Raise a CophyError if a scenario has no canonical frame."""
     if name is not None and name not in SCENARIOS:
         raise CophyError(f"model.canonical_frame={name} must be one of {', '.join(SCENARIOS)}")
-    if name is not None and knows_confounders:
-        raise CophyError("model.canonical_frame turns positions and poses alone: it needs no true confounders")
 
 
 def predict_in_frame(predict: Callable[[Inputs], Prediction], inputs: Inputs, scenario: str | None) -> Prediction:
@@ -43,12 +41,12 @@ def canonical_matrices(inputs: Inputs, scenario: str) -> Float[Tensor, "batch 2 
     seen = inputs.observed_presence[:, None, :, None]
     motion = ((inputs.observed - inputs.observed[:, :1]) * seen)[..., :2]
     if scenario == "blocktower":
-        return _octant(motion[:, -1].sum(dim=1))
+        return octant(motion[:, -1].sum(dim=1))
     fastest = motion[:, 1].norm(dim=-1).argmax(dim=1)
     experiments = torch.arange(len(motion), device=motion.device)
     heading = motion[experiments, 1, fastest]
     if scenario == "balls":
-        return _octant(heading)
+        return octant(heading)
     x, y = (heading / heading.norm(dim=-1, keepdim=True).clamp(min=EPSILON)).unbind(dim=-1)
     offset = (inputs.initial - inputs.initial[experiments, fastest][:, None])[..., :2] * inputs.presence[..., None]
     cross = (x[:, None] * offset[..., 1] - y[:, None] * offset[..., 0]).sum(dim=1)
@@ -56,10 +54,10 @@ def canonical_matrices(inputs: Inputs, scenario: str) -> Float[Tensor, "batch 2 
     return torch.stack([torch.stack([x, y], dim=-1), side[:, None] * torch.stack([-y, x], dim=-1)], dim=1)
 
 
-def _octant(vector: Float[Tensor, "batch 2"]) -> Float[Tensor, "batch 2 2"]:
+def octant(vector: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 2 2"]:
     """Return the symmetry of the square that turns each vector to 0 to 45°."""
     signs = torch.diag_embed(torch.where(vector < 0, -1.0, 1.0))
-    return torch.where((vector[:, 1].abs() > vector[:, 0].abs())[:, None, None], signs.flip(1), signs)
+    return torch.where((vector[..., 1].abs() > vector[..., 0].abs())[..., None, None], signs.flip(-2), signs)
 
 
 def turn(
@@ -81,13 +79,16 @@ def turn_columns(
 
 
 def turn_inputs(inputs: Inputs, matrices: Float[Tensor, "batch 2 2"]) -> Inputs:
-    """Return AB, C and poses in the frames of these matrices; true confounders stay as they are."""
-    pose = inputs.pose
+    """Return AB, C, poses and true confounders in the frames of these matrices."""
+    pose, confounders = inputs.pose, inputs.confounders
+    if confounders is not None:  # their statistics commute with rotations, see `confounder_statistics`
+        confounders = turn_columns(confounders, [(columns, matrices) for columns in HORIZONTAL])
     if pose is not None:
         doubled = doubled_angles(matrices)
         multiples = {1: matrices, 2: doubled, 4: doubled_angles(doubled)}
         pose = turn_columns(pose, [(POSE_ANGLES[n], multiple) for n, multiple in multiples.items()])
-    return replace(inputs, observed=turn(inputs.observed, matrices), initial=turn(inputs.initial, matrices), pose=pose)
+    observed, initial = (turn(positions, matrices) for positions in (inputs.observed, inputs.initial))
+    return replace(inputs, observed=observed, initial=initial, pose=pose, confounders=confounders)
 
 
 def doubled_angles(matrices: Float[Tensor, "batch 2 2"]) -> Float[Tensor, "batch 2 2"]:

@@ -39,7 +39,7 @@ NUM_FEATURES = 26  # of a block, see `describe`; two more with its yaw
 EPSILON = 1e-8  # keeps divisors and the slope of square roots finite
 
 
-class Towers(NamedTuple):
+class TowerHypotheses(NamedTuple):
     """Towers, and hypotheses of what positions do not show: the same for all of them, or others for each.
 
     Attributes:
@@ -80,7 +80,7 @@ class Joints(NamedTuple):
     below: Bool[Tensor, "batch slots slots"]
 
 
-def find_joints(towers: Towers) -> Joints:
+def find_joints(towers: TowerHypotheses) -> Joints:
     """Return the joints of towers under every hypothesis."""
     xy, z, present, yaw = towers.position[..., :2], towers.position[..., 2], towers.presence[:, None], towers.yaw
     below = (z[:, None] < z[:, :, None] - 0.5) & present  # (batch, block, other): the other is lower
@@ -141,7 +141,7 @@ def at_slot(
 
 
 def describe(
-    towers: Towers,
+    towers: TowerHypotheses,
 ) -> tuple[Float[Tensor, "batch hypotheses slots features"], Float[Tensor, "batch hypotheses 2 2"]]:
     """Return features of every block in the frame of its tower's weakest joint, and the unit vectors x and y of this frame.
 
@@ -276,7 +276,7 @@ class Hypotheses(nn.Module):
             if inputs.pose is None:
                 raise ValueError("pose is not among the inputs: a model needs pose: true for it")
             yaw = yaw_of(inputs.pose)
-        towers = Towers(position / self.block_size, presence, yaw, *self.combinations(presence.shape[1]))
+        towers = TowerHypotheses(position / self.block_size, presence, yaw, *self.combinations(presence.shape[1]))
         features, axes = describe(towers)
         blocks, present = self.block(features), presence[:, None, :, None]
         mean = (blocks * present).sum(dim=2, keepdim=True) / present.sum(dim=2, keepdim=True).clamp(min=1)

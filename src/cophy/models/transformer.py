@@ -17,7 +17,7 @@ from cophy.types import Inputs, Prediction
 
 TOKEN_DIM = 14  # position and motion in AB, C, C - A (3 each), presence in AB and in C
 WIDENING = 2  # ours: width of a layer's MLP over that of a token; 4 is usual, and slower
-LONGEST_PERIOD = 100.0  # frames; ours: of the encoding of time, a few times the length of a sequence
+RATE_RANGE = 100.0  # ours: the fastest rate of the encoding of time ÷ the slowest; the longest period is many sequences
 
 
 class Transformer(nn.Module):
@@ -92,7 +92,7 @@ def tokens_of(inputs: Inputs) -> Float[Tensor, "batch time slots 14"]:
 
 def time_encoding(length: int, width: int, device: torch.device) -> Float[Tensor, "length width"]:
     """Return sines and cosines of the frame's index, as in Vaswani et al. (2017)."""
-    rates = torch.exp(-math.log(LONGEST_PERIOD) * torch.arange(width // 2, device=device) / (width // 2))
+    rates = torch.exp(-math.log(RATE_RANGE) * torch.arange(width // 2, device=device) / (width // 2))
     phases = torch.arange(length, device=device)[:, None] * rates
     return torch.cat([phases.sin(), phases.cos()], dim=-1)
 

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from cophy.errors import CophyError
 from cophy.models.baselines import ConfounderInput
+from cophy.models.frames import canonical_matrices, octant
 from cophy.models.layers import check_at_least, parse_option
 from cophy.scenario import Collision, Scenario
 from cophy.scenario.statics import TowerStatics, joint_margins
@@ -143,7 +144,7 @@ def canonical(inputs: Inputs, scenario: Scenario, *, sees_confounders: bool = Fa
     objects = experiment[:, None], rank.argsort(axis=1, kind="stable")
 
     origin = origin * [1, 1, 0]  # heights count from the floor
-    to_frame = frames_of(observed, initial, present, scenario)[experiment, slot]
+    to_frame = frames_of(inputs, scenario)[experiment, slot]
     last = inputs.num_steps
     times = sorted({0, 1, *range(0, last, scenario.clock.frame_rate_hz), last})
     in_ab, in_c = seen[objects], present[objects]
@@ -162,27 +163,13 @@ def canonical(inputs: Inputs, scenario: Scenario, *, sees_confounders: bool = Fa
     return Rows(np.hstack(flat), experiment, slot, to_frame)
 
 
-def frames_of(
-    observed: Float[np.ndarray, "batch slots time 3"],
-    initial: Float[np.ndarray, "batch slots 3"],
-    present: Bool[np.ndarray, "batch slots"],
-    scenario: Scenario,
-) -> Float[np.ndarray, "batch slots 2 2"]:
+def frames_of(inputs: Inputs, scenario: Scenario) -> Float[np.ndarray, "batch slots 2 2"]:
     """Return the rotation or reflection that takes (x, y) to the frame of each object, see `canonical`."""
-    motion = (observed - observed[:, :, :1])[..., :2]
-    if isinstance(scenario, Collision):
-        experiments = np.arange(len(motion))
-        moving = np.linalg.norm(motion[:, :, 1], axis=-1).argmax(axis=1)
-        heading = motion[experiments, moving, 1]
-        x, y = (heading / np.maximum(np.linalg.norm(heading, axis=-1, keepdims=True), np.finfo(heading.dtype).tiny)).T
-        between = ((initial - initial[experiments, moving][:, None]) * present[..., None]).sum(axis=1)
-        left = np.where(x * between[:, 1] < y * between[:, 0], -1, 1)
-        frame = np.stack([np.stack([x, y], axis=-1), left[:, None] * np.stack([-y, x], axis=-1)], axis=1)
-        return np.broadcast_to(frame[:, None], (*present.shape, 2, 2))
-    heading = motion[:, :, 1] if scenario.statics is None else motion[:, :, -1].sum(axis=1, keepdims=True)
-    signs = np.where(heading < 0, -1, 1)[..., None] * np.eye(2, dtype=heading.dtype)
-    x, y = np.abs(np.moveaxis(heading, -1, 0))
-    return np.broadcast_to(np.where((y > x)[..., None, None], signs[..., ::-1, :], signs), (*present.shape, 2, 2))
+    if isinstance(scenario, Collision) or scenario.statics is not None:
+        matrices = canonical_matrices(inputs, "blocktower" if scenario.statics is not None else "collision")
+        return matrices[:, None].expand(*inputs.presence.shape, 2, 2).cpu().numpy()
+    motion = (inputs.observed[:, 1] - inputs.observed[:, 0]) * inputs.observed_presence[..., None]
+    return octant(motion[..., :2]).cpu().numpy()
 
 
 def transformed(

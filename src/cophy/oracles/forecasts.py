@@ -15,7 +15,7 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS
 from cophy.dataset.states import States, make_twins, stable_frames
 from cophy.errors import CophyError
-from cophy.oracles.posterior import Hypotheses, posterior, resample
+from cophy.oracles.posterior import Outcomes, posterior, resample
 from cophy.scenario import Scenario, Trajectory
 from cophy.scenario.physics import Scene
 from cophy.scenario.simulator import CachingSimulator
@@ -119,7 +119,7 @@ class OracleForecasts(ShardSet):
         """Return the dataset and the settings of the oracles."""
         return {"dataset": self.spec.id, "version": VERSION, **self.content}
 
-    def _of_pair(self, pair: int, observed: np.ndarray, simulator: CachingSimulator) -> Iterator[dict[str, Hypotheses]]:
+    def _of_pair(self, pair: int, observed: np.ndarray, simulator: CachingSimulator) -> Iterator[dict[str, Outcomes]]:
         """Yield the hypotheses of both twins, by oracle; twins share those given only A, C, the do-operation and velocities.
 
         Both twins are simulated again, because rounding them to what is stored would change how some towers fall.
@@ -138,7 +138,7 @@ class OracleForecasts(ShardSet):
             self._check_same(twin.observed, seen)
         scene, do_operation = twins[0].scene, twins[0].do_operation
 
-        def resampled(kind: int, index: int, **known: Any) -> Hypotheses:
+        def resampled(kind: int, index: int, **known: Any) -> Outcomes:
             rng = np.random.default_rng((kind, index))
             return resample(scenario, scene, do_operation, draws=settings.draws, rng=rng, simulator=simulator, **known)
 
@@ -164,8 +164,8 @@ class OracleForecasts(ShardSet):
                     rng=rng,
                     simulator=simulator,
                 ),
-                "double_rate": Hypotheses.certain(finer.simulate(simulator, do_operation.apply(twin.scene))),
-                "jitter": Hypotheses.certain(
+                "double_rate": Outcomes.certain(finer.simulate(simulator, do_operation.apply(twin.scene))),
+                "jitter": Outcomes.certain(
                     scenario.simulate(
                         simulator, _jittered(do_operation.apply(twin.scene), np.random.default_rng((4, index)))
                     )
@@ -207,7 +207,7 @@ def _jittered(scene: Scene, rng: np.random.Generator) -> Scene:
     return scene
 
 
-def forecast_of(hypotheses: Hypotheses, scenario: Scenario) -> dict[str, np.ndarray]:
+def forecast_of(hypotheses: Outcomes, scenario: Scenario) -> dict[str, np.ndarray]:
     """The mean of D, the variance that it owes to draws, and the probability of being stable; see `OracleForecasts`."""
     stride, states = scenario.clock.states_per_frame, hypotheses.states
     position = states[:, ::stride, :, :3][:, 1:]

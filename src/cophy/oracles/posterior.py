@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cophy.errors import CophyError
-from cophy.oracles.priors import configuration_prior, draw_initial_velocities, unknown_scenario, velocity_inference
+from cophy.oracles.priors import configuration_prior, unknown_scenario, velocity_inference
 from cophy.scenario.blocktower import Blocktower
 from cophy.scenario.experiment import DoOperation
 from cophy.scenario.physics import Scene, Trajectory
@@ -22,7 +22,7 @@ from cophy.scenario.simulator import Simulator
 
 
 @dataclass(frozen=True)
-class Hypotheses:
+class Outcomes:
     """Possible D with their probabilities.
 
     Attributes:
@@ -37,12 +37,12 @@ class Hypotheses:
     draw: np.ndarray | None = None
 
     @classmethod
-    def certain(cls, counterfactual: Trajectory) -> "Hypotheses":
+    def certain(cls, counterfactual: Trajectory) -> "Outcomes":
         """Return the only possibility."""
         return cls([counterfactual], np.ones(1))
 
     @classmethod
-    def drawn(cls, draws: list[list[Trajectory]]) -> "Hypotheses":
+    def drawn(cls, draws: list[list[Trajectory]]) -> "Outcomes":
         """Return the hypotheses of independent draws, which have equally many trajectories each."""
         draw = np.repeat(np.arange(len(draws)), [len(each) for each in draws])
         trajectories = [trajectory for each in draws for trajectory in each]
@@ -80,7 +80,7 @@ def posterior(
     noise: float,
     rng: np.random.Generator,
     simulator: Simulator,
-) -> Hypotheses:
+) -> Outcomes:
     """Return hypotheses about D given AB.
 
     Args:
@@ -117,8 +117,8 @@ def posterior(
 
     if len(weight) > draws:
         sample = np.sort(rng.choice(len(weight), draws, p=weight))
-        return Hypotheses.drawn([[counterfactual(int(index))] for index in sample])
-    return Hypotheses([counterfactual(index) for index in range(len(weight))], weight)
+        return Outcomes.drawn([[counterfactual(int(index))] for index in sample])
+    return Outcomes([counterfactual(index) for index in range(len(weight))], weight)
 
 
 # of initial velocities and two configurations, until one more pair fits; ours: for one ball without neighbours, one try in 750
@@ -136,7 +136,7 @@ def resample(
     simulator: Simulator,
     velocity_known: bool = False,
     configuration: int | None = None,
-) -> Hypotheses:
+) -> Outcomes:
     """Return CD of experiments that the search could have generated with the same A and C.
 
     Args:
@@ -155,19 +155,19 @@ def resample(
     if isinstance(scenario, Blocktower):  # towers start at rest, so the configuration is all that is drawn
         if configuration is not None:
             known = scenario.simulate(simulator, do_operation.apply(scenario.with_configuration(configuration, scene)))
-            return Hypotheses.certain(known)
+            return Outcomes.certain(known)
         prior = configuration_prior(scenario, scene, do_operation)
         sample = np.sort(rng.choice(len(prior), draws, p=prior)).tolist()
         scenes = {c: do_operation.apply(scenario.with_configuration(c, scene)) for c in sample}
         trajectories = {c: scenario.simulate(simulator, scene) for c, scene in scenes.items()}
-        return Hypotheses.drawn([[trajectories[c]] for c in sample])
+        return Outcomes.drawn([[trajectories[c]] for c in sample])
     if not isinstance(scenario, SimulatedSearch):
         raise unknown_scenario(scenario)
     pairs = [
         _resample_twins(scenario, scene, do_operation, rng, simulator, velocity_known, configuration)
         for _ in range(draws // 2)
     ]
-    return Hypotheses.drawn([list(twins if configuration is None else twins[:1]) for twins in pairs])
+    return Outcomes.drawn([list(twins if configuration is None else twins[:1]) for twins in pairs])
 
 
 def _resample_twins(
@@ -182,7 +182,7 @@ def _resample_twins(
     """Return CD of both twins, found as `search` finds them, with A, the do-operation and what is known fixed."""
     count = scenario.confounders.num_configurations(len(scene.objects))
     for _ in range(MAX_TRIES):
-        moving = scene if velocity_known else scene.with_velocities(draw_initial_velocities(scenario, scene, rng))
+        moving = scene if velocity_known else scene.with_velocities(scenario.sample_velocities(scene, rng))
         first = int(rng.integers(count)) if configuration is None else configuration
         second = (first + 1 + int(rng.integers(count - 1))) % count
         twins = [scenario.with_configuration(c, moving) for c in (first, second)]

@@ -15,9 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from cophy.errors import CophyError
-from cophy.scenario.balls import Balls
 from cophy.scenario.blocktower import Blocktower
-from cophy.scenario.collision import Collision
 from cophy.scenario.experiment import DoOperation
 from cophy.scenario.physics import Clock, Scene, Solver
 from cophy.scenario.scenario import Scenario
@@ -115,24 +113,6 @@ class TowerPrior:
         first = [fits(cell) for cell in TOWER_CELLS]
         second = [fits(cell.twin) for cell in TOWER_CELLS]
         return np.stack(first, axis=1).astype(np.float32), np.stack(second, axis=1).astype(np.float32)
-
-
-def draw_initial_velocities(scenario: Scenario, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-    """Draw initial velocities as the scenario draws them for objects at these places.
-
-    Args:
-        scenario: The scenario.
-        scene: A; its confounders and velocities are not used.
-        rng: The source of randomness.
-
-    Returns:
-        (object, 2) horizontal velocities, m/s.
-    """
-    if isinstance(scenario, Balls):
-        return scenario.sample_velocities(len(scene.objects), rng)
-    if isinstance(scenario, Collision):
-        return scenario.sample_velocities(scene, rng)
-    raise unknown_scenario(scenario)
 
 
 def velocity_inference(

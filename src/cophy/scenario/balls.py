@@ -22,6 +22,14 @@ class Balls(SimulatedSearch):
     displacement: list[float]  # smallest and largest, in a random direction
     max_energy_gain: float  # between two states, relative to the initial energy
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self._reach < 0:
+            raise ValueError(
+                f"scenario.arena_half_width={self.arena_half_width:g} m leaves no place for a ball of {self.ball_diameter:g} m "
+                f"with scenario.min_gap={self.min_gap:g} m to the walls"
+            )
+
     @classmethod
     def ranges(cls) -> tuple[str, ...]:
         return ("displacement", "speed")
@@ -45,31 +53,33 @@ class Balls(SimulatedSearch):
     def walls(self) -> tuple[Body, ...]:
         return make_walls(self.arena_half_width, self.wall_height)
 
+    @property
+    def _reach(self) -> float:
+        """Largest coordinate of a centre in A and C, metres."""
+        return self.arena_half_width - self.min_gap - self.ball_diameter / 2
+
     def sample_scene(self, cell: int, slots: tuple[int, ...], rng: np.random.Generator) -> Scene:
-        reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2
-        centres = rng.uniform(-reach, reach, (len(slots), 2))
-        attempts = 1
-        while not self._have_gaps(centres):
-            if attempts == MAX_PLACEMENTS:
-                raise placement_error("balls", f"{len(slots)} balls do not fit with scenario.min_gap between them")
-            centres, attempts = rng.uniform(-reach, reach, (len(slots), 2)), attempts + 1
-        velocities = self.sample_velocities(len(slots), rng)
+        for _ in range(MAX_PLACEMENTS):
+            centres = rng.uniform(-self._reach, self._reach, (len(slots), 2))
+            if self._have_gaps(centres):
+                break
+        else:
+            raise placement_error("balls", f"{len(slots)} balls do not fit with scenario.min_gap between them")
         balls = tuple(
             Body(
                 Shape.SPHERE,
                 (self.ball_diameter, self.ball_diameter, self.ball_diameter),
                 position=(float(x), float(y), self.ball_diameter / 2),
-                linear_velocity=(float(vx), float(vy), 0.0),
                 slot=slot,
                 mass=1.0,
             )
-            for slot, (x, y), (vx, vy) in zip(slots, centres, velocities, strict=True)
+            for slot, (x, y) in zip(slots, centres, strict=True)
         )
-        bodies = (make_floor(), *self.walls(), *balls)
-        return Scene(bodies, gravity=(0.0, 0.0, self.gravity_z))
+        scene = Scene((make_floor(), *self.walls(), *balls), gravity=(0.0, 0.0, self.gravity_z))
+        return scene.with_velocities(self.sample_velocities(scene, rng))
 
-    def sample_velocities(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Sample (ball, 2) horizontal initial velocities, m/s."""
+    def sample_velocities(self, scene: Scene, rng: np.random.Generator) -> np.ndarray:
+        count = len(scene.objects)
         return np.asarray(rng.uniform(self.speed[0], self.speed[1], count)[:, None] * _sample_directions(count, rng))
 
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
@@ -77,13 +87,12 @@ class Balls(SimulatedSearch):
         if kind == "remove":
             return Remove(kind, _slot(balls[rng.integers(len(balls))]))
         centres = np.array([ball.position[:2] for ball in balls])
-        reach = self.arena_half_width - self.min_gap - self.ball_diameter / 2
         for _ in range(MAX_PLACEMENTS):
             index = int(rng.integers(len(balls)))
             x, y = rng.uniform(self.displacement[0], self.displacement[1]) * _sample_directions(1, rng)[0]
             displaced = centres.copy()
             displaced[index] += (x, y)
-            if self._have_gaps(displaced) and np.abs(displaced).max() <= reach:
+            if self._have_gaps(displaced) and np.abs(displaced).max() <= self._reach:
                 return Displace(kind, _slot(balls[index]), (float(x), float(y), 0.0))
         raise placement_error("balls", "with scenario.displacement, no ball keeps scenario.min_gap to the others")
 

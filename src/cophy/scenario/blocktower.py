@@ -41,7 +41,7 @@ class Proposals(NamedTuple):
         falls_from: (proposal, combination) `TowerStatics.falls_from` of A, for every combination of masses and gravity.
         stands: (proposal, combination) bool, whether C stands.
         level: (proposal,) level of the block that is displaced or removed.
-        offset: (proposal, 2) its displacement, metres.
+        offset: (proposal, 2) its displacement, or of the top block that is removed, its offset from the one below; metres.
     """
 
     towers: tuple[Towers, Towers]
@@ -64,6 +64,14 @@ class Blocktower(Scenario):
     min_margin: float  # smallest distance of both twins' towers from toppling, or from standing
     stable_fraction: list[float]  # share of all configurations under which A, and C, stand: smallest and largest
     fallen_distance: float  # a tower has fallen once a block is this far from its start
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if "remove_top" in self.do_operations and min(self.num_objects) < 3:
+            raise ValueError(
+                f"scenario.num_objects={list(self.num_objects)}: remove_top in scenario.do_operations leaves no tower of two "
+                "blocks standing or falling; take it out, or have at least 3 objects"
+            )
 
     @classmethod
     def search_version(cls) -> int:

@@ -32,8 +32,8 @@ class Camera:
     field_of_view_deg: float
 
     def __post_init__(self) -> None:
-        if len(self.eye) != 3 or len(self.target) != 3 or list(self.eye) == list(self.target):
-            raise ValueError("camera: eye and target must be two different points, x, y and z each")
+        if len(self.eye) != 3 or len(self.target) != 3 or list(self.eye[:2]) == list(self.target[:2]):
+            raise ValueError("camera: eye and target must be two points, x, y and z each, and not one above the other")
         if not 0 < self.field_of_view_deg < 180:
             raise ValueError(f"camera.field_of_view_deg={self.field_of_view_deg} must be between 0 and 180")
 

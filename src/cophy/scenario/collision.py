@@ -29,6 +29,11 @@ class Collision(SimulatedSearch):
     min_gap: float  # between the two objects, in A and C
     max_energy_gain: float  # between two states, relative to the initial energy
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if list(self.num_objects) != [2]:
+            raise ValueError(f"scenario.num_objects={list(self.num_objects)} must be [2]: one object hits the other")
+
     @classmethod
     def ranges(cls) -> tuple[str, ...]:
         return ("displacement", "distance")
@@ -77,7 +82,7 @@ class Collision(SimulatedSearch):
         return scene.with_velocities(self.sample_velocities(scene, rng))
 
     def sample_velocities(self, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-        """Sample (object, 2) initial horizontal velocities, m/s, of the moving and the static object, given A.
+        """Sample the velocities of the moving and the static object.
 
         A does not show how far off the static object's centre the moving one is aimed; AB does.
         """

@@ -61,7 +61,6 @@ class Scenario(ABC):
     def __post_init__(self) -> None:
         check_name("scenario.name", self.name)
         _check_finite("scenario", asdict(self))
-        self._check_distance("min_difference", self.min_difference)
         if not -MAX_GRAVITY <= self.gravity_z < 0:
             raise ValueError(f"scenario.gravity_z={self.gravity_z:g} must be negative, at least {-MAX_GRAVITY:g} m/s²")
         if self.solver.step_rate_hz % self.clock.state_rate_hz:
@@ -73,11 +72,14 @@ class Scenario(ABC):
             values = list(getattr(self, key))
             if len(values) != 2 or values != sorted(values):
                 raise ValueError(f"scenario.{key}={values} must be two numbers, the smallest and the largest")
-        if max(self.num_objects, default=0) > self.num_slots:
+        if min(self.num_objects, default=0) < 2:
+            raise ValueError(f"scenario.num_objects={list(self.num_objects)} must be numbers from 2")
+        if max(self.num_objects) > self.num_slots:
             raise ValueError(
                 f"scenario.num_objects={list(self.num_objects)}: {self.name} has {self.num_slots} colours, and every object "
                 "of an experiment needs its own: add '+scenario.colors.NAME=\"#rrggbb\"'"
             )
+        self._check_distance("min_difference", self.min_difference)
         for slot, color in self.colors.items():
             if not HEX_COLOR.fullmatch(color):
                 raise ValueError(f'scenario.colors.{slot}={color} must be a colour "#rrggbb"')

@@ -53,6 +53,10 @@ class SimulatedSearch(Scenario):
         """
 
     @abstractmethod
+    def sample_velocities(self, scene: Scene, rng: np.random.Generator) -> np.ndarray:
+        """Sample (object, 2) initial horizontal velocities, m/s, given the places of the objects in A, as `sample_scene` does."""
+
+    @abstractmethod
     def sample_do_operation(self, kind: str, scene: Scene, rng: np.random.Generator) -> DoOperation:
         """Sample a do-operation that the scene allows.
 

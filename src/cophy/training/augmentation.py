@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cophy.dataset.datamodules import ONE_DEVICE, DeviceShare
-from cophy.models.frames import turn, turn_columns, turn_inputs
+from cophy.models.frames import turn, turn_inputs
 from cophy.scenario import Scenario
 from cophy.training.settings import Augmentation
-from cophy.types import HORIZONTAL, Batch
+from cophy.types import Batch
 
 
 def matrices_of(scenario: Scenario, augmentation: Augmentation) -> np.ndarray:
@@ -39,12 +39,9 @@ def augment(
 
 def transform(batch: Batch, matrices: Float[Tensor, "batch 2 2"]) -> Batch:
     """Change coordinates: each matrix acts on x and y of AB, C, D, confounders and poses alike."""
-    inputs, targets = batch.inputs, batch.targets
-    turned = turn_inputs(inputs, matrices)
-    if inputs.confounders is not None:
-        turned.confounders = turn_columns(inputs.confounders, [(columns, matrices) for columns in HORIZONTAL])
+    targets = batch.targets
     truth = replace(targets, position=turn(targets.position, matrices), initial=turn(targets.initial, matrices))
-    return Batch(turned, truth)
+    return Batch(turn_inputs(batch.inputs, matrices), truth)
 
 
 def add_position_noise(batch: Batch, max_std: float, draw: tuple[int, ...], share: DeviceShare = ONE_DEVICE) -> Batch:
