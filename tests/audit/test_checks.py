@@ -1,6 +1,7 @@
 """Every check of a dataset's arrays fails on the fault that it is for, and passes without."""
 
 import itertools
+import re
 from pathlib import Path
 from typing import Any
 
@@ -195,6 +196,10 @@ def test_a_first_frame_of_another_split_fails_whatever_its_colours(tiny) -> None
     copied["states"][test, 0] = np.roll(arrays["states"][train, 0], 1, axis=2)
     copied["states"][test, 0, ..., :2] += SAME_SCENE_M / 10
     assert "no A or C occurs in two splits" in failing(check_first_frames(copied, spec.num_objects))
+    (check,) = check_first_frames(copied, spec.num_objects)
+    later, earlier = map(int, re.findall(r"\d+", check.result.partition("experiments")[2]))
+    assert later in arrays["experiment"][test]
+    assert earlier in arrays["experiment"][np.isin(arrays["twin"], arrays["twin"][train])]  # twins share A
     copied["states"][test, 0, ..., :2] += 0.05
     assert not failing(check_first_frames(copied, spec.num_objects))
 

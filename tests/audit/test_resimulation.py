@@ -100,15 +100,15 @@ def test_the_way_a_tower_falls_identifies_cd(few_configurations: DatasetSpec, fi
 def test_a_limit_is_lowered_by_chance_alone() -> None:
     """Three standard deviations of a share of 98 % are 6.6 points in 40 experiments, 2.1 in 400 and 0.7 in 4,000."""
     for count, passes, fails in ((40, 0.92, 0.91), (400, 0.96, 0.955), (4000, 0.974, 0.972)):
-        assert _check_share("", passes, 0.98, count, enumerated=True).passed
-        assert not _check_share("", fails, 0.98, count, enumerated=True).passed
+        assert _check_share("", passes, 0.98, count).passed
+        assert not _check_share("", fails, 0.98, count).passed
 
 
 def test_sound_towers_pass_the_limit_in_samples_of_any_size() -> None:
     """About 88 % of towers are identified, so the limit has to be lower without the allowance for small samples."""
     for count in (40, 400, 4000, 40_000):
-        assert _check_share("", 0.88, MIN_IDENTIFIED["blocktower"], count, enumerated=True).passed
-    assert not _check_share("", 0.82, MIN_IDENTIFIED["blocktower"], 4000, enumerated=True).passed
+        assert _check_share("", 0.88, MIN_IDENTIFIED["blocktower"], count).passed
+    assert not _check_share("", 0.82, MIN_IDENTIFIED["blocktower"], 4000).passed
 
 
 def test_an_ab_that_reveals_nothing_fails(few_configurations: DatasetSpec, first_pair: dict) -> None:

@@ -2,6 +2,7 @@
 
 import functools
 import json
+import shutil
 import zipfile
 from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -125,6 +126,20 @@ def archive(stored: States, tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert first.name == f"collision-{stored.id}.zip"
     assert first.read_bytes() == second.read_bytes()
     return first
+
+
+@pytest.mark.parametrize("damage", ["missing", "changed"])
+def test_damaged_data_are_not_archived(damage: str, stored: States, tmp_path: Path) -> None:
+    copy = sample("collision", tmp_path / "data")
+    shutil.copytree(stored.directory, copy.directory)
+    shard = copy.paths()[0]
+    if damage == "missing":
+        shard.unlink()
+    else:
+        shard.write_bytes(shard.read_bytes()[:-1] + b"x")
+    with pytest.raises(CophyError, match=r"shard-00000\.h5"):
+        write_archive(copy, None, tmp_path)
+    assert not list(tmp_path.glob("*.zip"))
 
 
 @pytest.fixture

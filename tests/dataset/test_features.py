@@ -227,6 +227,14 @@ def test_confounders_are_standardised_over_present_objects(tiny) -> None:
     assert not features[~presence].any()
 
 
+@pytest.mark.parametrize("value", [0.1, 1 / 3, 0.7])
+def test_a_constant_is_not_scaled_up_by_its_rounding(value: float) -> None:
+    features, presence = torch.full((101, 2, len(CONFOUNDERS)), value), torch.ones(101, 2, dtype=torch.bool)
+    statistics = confounder_statistics(features, presence)
+    other = standardised(features + 0.9, presence, statistics)
+    assert other.abs().max() < 10
+
+
 @pytest.mark.parametrize(
     ("model", "declared"),
     [

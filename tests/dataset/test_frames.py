@@ -38,7 +38,7 @@ def test_frames_are_those_of_their_split(rendered: Images, tmp_path: Path) -> No
     np.testing.assert_array_equal(next(opened).position, np.stack(wanted))
     item = data.train[3]
     _, row, sequence, frame = data.train.index[3].tolist()
-    np.testing.assert_array_equal(item.position, arrays["states"][row, sequence, 4 * frame, :, :3])
+    np.testing.assert_array_equal(item.position, arrays["states"][row, sequence, frame, :, :3])
 
 
 def test_a_damaged_image_is_named_in_one_line(rendered: Images, tmp_path: Path) -> None:

@@ -121,6 +121,7 @@ def test_gravity_cells_and_do_operations_select_experiments(tiny) -> None:
             {"do_operation": "remove"},
             r"split\.train\.do_operation=remove does not exist; collision has displace_moving",
         ),
+        ({"configurations": "unseen"}, r"split\.train\.configurations=unseen: collision has no unseen configurations"),
     ],
 )
 def test_what_the_scenario_does_not_have_is_named(keys: dict[str, Any], message: str, scenario_of) -> None:

@@ -27,7 +27,7 @@ def audit_released(arrays: Arrays, spec: Sharded) -> Iterator[Check]:
     yield _check_copies(arrays)
     yield from _check_do_operations(arrays)
     yield from check_positions(arrays, spec.scenario.object_size_m)  # objects are 1 m large, as ours, in all formats
-    yield from check_confounder_shares(arrays, spec.scenario, len(spec.scenario.cells()))
+    yield from check_confounder_shares(arrays, spec.scenario, 1)
     if spec.scenario.statics is not None:
         standing = stands(arrays, spec.scenario.statics.fallen_distance)[:, 1]
         yield from check_stability(arrays, standing, spec.num_objects)
@@ -55,7 +55,7 @@ def _check_do_operations(arrays: Arrays) -> Iterator[Check]:
     yield Check("C equals A except for one object", result, not wrong.any())
     stays = arrays["presence"].all(axis=1)
     accelerated = (np.abs(first[..., 7:] - second[..., 7:]).max(axis=-1) > CHANGED_M) & stays
-    result = f"fails in {accelerated.any(axis=1).sum()}"
+    result = f"fails in {accelerated.any(axis=1).sum()}" if accelerated.any() else "yes"
     yield Check("initial velocities of C are those of A", result, not accelerated.any())
     removed = arrays["presence"].sum(axis=2)[:, 0] - arrays["presence"].sum(axis=2)[:, 1]
     offset = np.linalg.norm(arrays["do_offset"], axis=1)[removed == 0]

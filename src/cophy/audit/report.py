@@ -1,5 +1,7 @@
 """An audit in the terminal, as a page with figures, and as a line in the dataset's card."""
 
+import errno
+import logging
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -30,6 +32,8 @@ from cophy.dataset.shards import Arrays
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States, sort_by_twins
 from cophy.report.figures import BLUE, GREY, ORANGE, draw_stability_distribution
+
+log = logging.getLogger(__name__)
 
 
 def audit_generated(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -> Iterator[Check]:
@@ -77,7 +81,12 @@ def report_generated(states: States, directory: Path, *, replayed_pairs: int) ->
     summary = f"all {len(checks)} lines hold"
     if failing:
         summary = f"{len(failing)} of {len(checks)} lines fail: {'; '.join(failing)}"
-    states.write_card(f"{summary} ({replayed_pairs} twin pairs resimulated)")
+    try:
+        states.write_card(f"{summary} ({min(replayed_pairs, len(arrays['twin']) // 2)} twin pairs resimulated)")
+    except OSError as error:
+        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+            raise
+        log.warning("%s: the result is not added to the dataset's card (%s)", states.directory, error.strerror)
     return _failing_lines(spec.id, checks)
 
 

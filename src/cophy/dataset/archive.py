@@ -186,10 +186,13 @@ def write_archive(states: ShardSet, images: ShardSet | None, root: Path) -> Path
     path = root / f"{str(states.place).replace('/', '-')}.zip"
     with appearing_whole(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for shards in [states] if images is None else [states, images]:
-            shards.finished_checksums()
-            for file in (*shards.paths(), *(shards.directory / name for name in DESCRIBING)):
-                if file.exists():
-                    member = zipfile.ZipInfo(f"{shards.place}/{file.name}", DATE)
-                    with open(file, "rb") as source, archive.open(member, "w", force_zip64=True) as target:
-                        shutil.copyfileobj(source, target, PART)
+            checksums = shards.finished_checksums()
+            for shard, file in enumerate(shards.paths()):
+                with shards.report_damage(shard):
+                    shards.verify(shard, checksums[file.name])
+            describing = (shards.directory / name for name in DESCRIBING)
+            for file in (*shards.paths(), *(path for path in describing if path.exists())):
+                member = zipfile.ZipInfo(f"{shards.place}/{file.name}", DATE)
+                with open(file, "rb") as source, archive.open(member, "w", force_zip64=True) as target:
+                    shutil.copyfileobj(source, target, PART)
     return path

@@ -58,8 +58,8 @@ Units: m, s, kg; z up. Splits 0, 1, 2: train, validation, test.
         present = shard["presence"][:]  # (experiment, AB or CD, slot)
         mass, split = shard["mass"][:], shard["split"][:]
 
-As a torch Dataset, from all shards: `cophy.load("{scenario.name}", size="{spec.size.name}", num_objects={spec.num_objects})`. These
-are the arrays of a shard, and their attributes say the same:
+As a torch Dataset: `cophy.load("{scenario.name}", size="{spec.size.name}", num_objects={spec.num_objects}, data_seed={spec.data_seed})`.
+These are the arrays of a shard, and their attributes say the same:
 
 {field_table(fields)}
 

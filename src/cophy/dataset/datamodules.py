@@ -2,7 +2,7 @@
 
 `CounterfactualDataModule` generates missing data and holds all splits in memory; its batches are slices. The order of training
 batches depends on seed and epoch alone, so a resumed training sees the same batches as an uninterrupted one. A batch is divided
-among devices: its size is that of a whole optimiser step. `ExperimentDataset` is what `cophy.load` returns.
+among devices: its size is that of a whole optimiser step (in validation and test, that of a device). `ExperimentDataset` is what `cophy.load` returns.
 """
 
 from collections.abc import Sequence
@@ -196,7 +196,8 @@ class CounterfactualDataModule(L.LightningDataModule):
         """Load all splits; confounders are standardised over the training split."""
         if hasattr(self, "train"):
             return
-        stored = {experiments.id: self._load(experiments) for experiments in (self.train_set, self.test_set)}
+        sets = {experiments.id: experiments for experiments in (self.train_set, self.test_set)}
+        stored = {name: self._load(experiments) for name, experiments in sets.items()}
         rows = {split: self._rows(stored, split) for split in SPLITS}
         arrays = {
             split: {name: array[rows[split]] for name, array in stored[self._set_of(split).id].items()}

@@ -1,10 +1,12 @@
 """Estimates of a de-renderer for the images of a dataset, in shards next to the states."""
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import torch
 
 from cophy.dataset import generation
 from cophy.dataset.experiment_set import ALL_FRAMES, ExperimentSet, NeededFrames
@@ -42,7 +44,7 @@ class Estimates(ShardSet):
             states.spec,
             states.directory / f"derendered-{derenderer.name}{suffix}",
             title=f"de-rendered {states.title}",
-            command=f"{states.command_for('derender')} derenderer={derenderer.source} {self.needed.keys}".rstrip(),
+            command=f"{states.command_for('derender')} {shlex.quote(f'derenderer={derenderer.source}')} {self.needed.keys}".rstrip(),
         )
 
     def best_available(self) -> "Estimates":
@@ -59,6 +61,7 @@ class Estimates(ShardSet):
 
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """De-render the frames of a shard."""
+        torch.set_num_threads(1)  # several processes work in parallel
         done = 0
         with create_file(path, self.fields(shard), self.attributes(shard)) as stored:
             for row, sequence, times, rgb in self.frames.sequences(shard):

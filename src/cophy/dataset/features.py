@@ -84,7 +84,8 @@ def confounder_statistics(
     mean, deviation = values.mean(dim=0), values.std(dim=0)
     for columns in HORIZONTAL:
         mean[columns], deviation[columns] = 0.0, values[:, columns].square().mean().sqrt()
-    return mean, torch.where(deviation > 0, deviation, 1.0)
+    is_constant = values.amin(dim=0) == values.amax(dim=0)  # rounding gives most constants a deviation above 0
+    return mean, torch.where(is_constant | (deviation == 0), 1.0, deviation)
 
 
 def standardised(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from copy import copy
+from functools import partial
 from typing import Any, NamedTuple
 
 import cv2
@@ -17,6 +18,7 @@ from cophy.dataset.datamodules import DeviceShare, ordered_batches, shuffled_bat
 from cophy.dataset.experiment_set import ExperimentSet, FrameReader, FrameSource, single_frames
 from cophy.dataset.shards import Arrays
 from cophy.dataset.splits import SPLITS
+from cophy.dataset.states import reduce_to_frames
 from cophy.errors import CophyError
 from cophy.scenario.rendering import RenderSettings
 
@@ -109,9 +111,8 @@ class FrameDataset(Dataset[FrameBatch]):
 
     def _truth(self, item: int) -> tuple[Tensor, Tensor]:
         source, row, sequence, time = self.index[item].tolist()
-        images, arrays = self.sources[source]
-        state = time * images.states.spec.scenario.clock.states_per_frame
-        position, presence = arrays["states"][row, sequence, state, :, :3], arrays["presence"][row, sequence]
+        _, arrays = self.sources[source]
+        position, presence = arrays["states"][row, sequence, time, :, :3], arrays["presence"][row, sequence]
         return torch.from_numpy(position), torch.from_numpy(presence)
 
 
@@ -192,7 +193,8 @@ class FrameDataModule(L.LightningDataModule):
 
     def _choose(self) -> list[FrameDataset]:
         """Return the frames of each split, from images that contain only these if they are few."""
-        sources = [(experiments.frames(self.render), experiments.load()) for experiments in self.sets]
+        reduce = partial(reduce_to_frames, scenario=self.scenario)
+        sources = [(experiments.frames(self.render), experiments.load(reduce)) for experiments in self.sets]
         for experiments, (_, arrays) in zip(self.sets, sources, strict=True):
             _check_colors(experiments, arrays)
         counts = self.num_images, self.num_images // 10, self.num_images // 10

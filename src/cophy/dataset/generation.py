@@ -73,10 +73,13 @@ def _complete(shards: ShardSet, wanted: Sequence[int], workers: int, files: File
     """Make missing shards among those wanted. If the set is then complete, write its manifest and return True."""
     every, versions = range(shards.spec.num_shards), None
     if missing := _missing(shards, wanted):
+        for shard, damage in missing.items():
+            if damage is not None:
+                log.warning("%s is damaged (%s): generating it again", shards.path(shard), damage)
         if files is None:
-            _generate(missing, shards, workers)
+            _generate(list(missing), shards, workers)
         else:
-            versions = copy_shards(missing, shards, files)
+            versions = copy_shards(list(missing), shards, files)
     if wanted != every and (not all(path.exists() for path in shards.paths()) or _missing(shards, every)):
         return False
     if missing or not (shards.directory / MANIFEST).exists():
@@ -90,19 +93,19 @@ def _log_complete(shards: ShardSet) -> None:
     log.info("%s: all %d experiments in %d shards", shards.directory, spec.num_experiments, spec.num_shards)
 
 
-def _missing(shards: ShardSet, wanted: Iterable[int]) -> list[int]:
-    """Return those of the wanted shards that do not exist or are damaged."""
+def _missing(shards: ShardSet, wanted: Iterable[int]) -> dict[int, DamagedShardError | None]:
+    """Return those of the wanted shards that do not exist (None) or are damaged."""
     checksums = shards.checksums() or {}
-    missing = []
+    missing: dict[int, DamagedShardError | None] = {}
     for shard in wanted:
         path = shards.path(shard)
-        if path.exists():
-            try:
+        try:
+            if path.exists():
                 shards.verify(shard, checksums.get(path.name))
-                continue
-            except DamagedShardError as error:
-                log.warning("%s is damaged (%s): generating it again", path, error)
-        missing.append(shard)
+            else:
+                missing[shard] = None
+        except DamagedShardError as error:
+            missing[shard] = error
     return missing
 
 

@@ -224,7 +224,7 @@ def _write_card(root: Path) -> None:
         ],
     }
     sizes = [(name, *dataset["splits"].values(), dataset["images"] or "no") for name, dataset in datasets.items()]
-    arrays = {name: each for dataset in datasets.values() for name, each in dataset["arrays"].items()}
+    arrays = {name: dict(each) for dataset in datasets.values() for name, each in dataset["arrays"].items()}
     for name, each in arrays.items():
         meanings = {key: found["arrays"][name]["meaning"] for key, found in datasets.items() if name in found["arrays"]}
         if len(set(meanings.values())) > 1:  # kinds of do-operations and cells

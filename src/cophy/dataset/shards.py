@@ -1,7 +1,7 @@
 """Shards: files shard-00000.h5, ... of one directory that hold the arrays of a dataset, and their manifest.json.
 
-`Field` describes an array of a shard, `encode` and `creating` write a shard, `reading` reads one safely, and a `ShardSet` is a
-directory of shards. Its manifest names the configuration, the versions of libraries and a SHA-256 per shard.
+`Field` describes an array of a shard, `encode` and `create_file` write a shard, `open_file` reads one safely, and a `ShardSet` is
+a directory of shards. Its manifest names the configuration, the versions of libraries and a SHA-256 per shard.
 """
 
 import errno

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shlex
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,10 @@ class DatasetSpec:
         scenario, count = self.scenario, self.num_objects
         if count not in scenario.num_objects:
             more = ",".join(map(str, [*scenario.num_objects, count]))
+            try:
+                replace(scenario, num_objects=[*scenario.num_objects, count])
+            except ValueError as error:  # it cannot have so many
+                raise CophyError(f"num_objects={count}: {error}") from error
             raise CophyError(
                 f"num_objects={count}: scenario={scenario.name} has {', '.join(map(str, scenario.num_objects))}; "
                 f"for {count}, add 'scenario.num_objects=[{more}]'"
@@ -114,5 +118,5 @@ class DatasetSpec:
     def command_line_keys(self, directory: Path) -> str:
         """Return the command-line keys for this dataset in its directory."""
         names = f"scenario={self.scenario.name} size={self.size.name} 'num_objects=[{self.num_objects}]'"
-        places = f"data_seed={self.data_seed} data_dir={directory.parents[1]}"
-        return " ".join([names, places, *map(shlex.quote, self.overrides)])
+        places = (f"data_seed={self.data_seed}", f"data_dir={directory.parents[1]}")
+        return " ".join([names, *map(shlex.quote, [*places, *self.overrides])])

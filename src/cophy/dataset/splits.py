@@ -50,6 +50,10 @@ class Part:
         grid = {each.name: getattr(scenario.confounders, each.name) for each in fields(scenario.confounders)}
         if unknown := self.where.keys() - grid.keys():
             raise CophyError(f"{key}.where.{min(unknown)} does not exist; there are {', '.join(grid)}")
+        if self.configurations is not None and scenario.seen_configurations(self.num_objects, data_seed=0) is None:
+            raise CophyError(
+                f"{key}.configurations={self.configurations}: {scenario.name} has no unseen configurations"
+            )
         choices = {
             **{f"where.{name}": (values, grid[name]) for name, values in self.where.items()},
             "cell": (self.cell, scenario.cells()),

@@ -86,7 +86,9 @@ def experiment_fields(spec: DatasetSpec, count: int) -> Fields:
     return {
         **scene_fields(count, scenario.clock.num_states, scenario.num_slots),
         "configuration": per_experiment(
-            "<i4", "index of the confounders' values among all combinations", num_configurations
+            "<i4" if num_configurations <= 2**31 else "<i8",
+            "index of the confounders' values among all combinations",
+            num_configurations,
         ),
         "seen": per_experiment(
             "|b1", "whether the combination belongs to the half that the splits 3to3_unseen and 4to4_unseen train on"
