@@ -175,7 +175,9 @@ def leaderboard(results: Results, scenario: str, **names: str) -> str:
     }
     cells = {method: row for method, row in cells.items() if any(row.values())}
     best = {
-        split: min((cell.number() for method in COMPETING if (cell := cells.get(method, {}).get(split))), default="")
+        split: min(
+            (c.number() for method in COMPETING if (c := cells.get(method, {}).get(split))), key=float, default=""
+        )
         for split in splits
     }
 
@@ -327,8 +329,12 @@ def data_seeds(results: Results) -> str:
                 for seed, names in enumerate(({}, {"change": rf"\+data_seed-1({OF_ORACLES})?"}))
             }
             if cells["mse", 1]:
-                texts = [cell.full(*((3, 1) if key[0] == "mse" else (0, 100))) for key, cell in cells.items()]
-                rows.append([title(method), *texts, *(str(cells["mse", seed].seeds) for seed in (0, 1))])
+                texts = [
+                    cell.full(*((3, 1) if key[0] == "mse" else (0, 100))) if cell else NOTHING
+                    for key, cell in cells.items()
+                ]
+                seeds = (str(cell.seeds) if (cell := cells["mse", seed]) else NOTHING for seed in (0, 1))
+                rows.append([title(method), *texts, *seeds])
         head = f"{SCENARIOS[scenario]} {columns(scenario)[split]}"
         names = [f"{name}, data seed {seed}" for name in ("MSE, m²", "twins, %", "training seeds") for seed in (0, 1)]
         parts.append(markdown([head, *names], rows))

@@ -90,7 +90,7 @@ def read_entry(path: Path) -> Entry:
         entry = Entry(**{**content, "scores": scores})
         if wrong := next(_problems(entry), None):
             raise EntryError(wrong)
-    except (EntryError, OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+    except (EntryError, OSError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise EntryError(f"{path.name}: {' '.join(str(error).split())}") from error
     return entry
 
@@ -167,16 +167,19 @@ def entries_table() -> str:
     """A line per entry and column: mean MSE over seeds, ± standard deviation or half the interval of a single run."""
     rows = []
     for entry in read_entries():
-        groups: dict[tuple[str, ...], list[Score]] = {}
+        groups: dict[tuple[Any, ...], list[Score]] = {}
         for score in entry.scores:
-            groups.setdefault((score.scenario, score.split, score.size, score.positions), []).append(score)
-        for (scenario, split, size, positions), scores in groups.items():
+            key = (score.scenario, score.split, score.size, score.positions, score.data_seed)
+            groups.setdefault(key, []).append(score)
+        for (scenario, split, size, positions, data_seed), scores in groups.items():
             rows.append(
                 [
                     f"{entry.name} (`{entry.code}`)" if entry.code in OUR_EXAMPLES else f"[{entry.name}]({entry.code})",
                     ", ".join(entry.sees),
                     f"{entry.parameters:,}",
-                    f"{scenario} {split}, {size}" + ("" if positions == TRUE_POSITIONS else ", estimated positions"),
+                    f"{scenario} {split}, {size}"
+                    + (f", data seed {data_seed}" if data_seed else "")
+                    + ("" if positions == TRUE_POSITIONS else ", estimated positions"),
                     f"{len(scores)}",
                     _cell([score.mse for score in scores], 3),
                     _cell([[100 * each for each in score.twin_difference_explained] for score in scores], 1),

@@ -28,7 +28,7 @@ def checkpoints(results: Results) -> str:
         if line["method"] == "derenderer":
             continue
         runs = results.of(line["scenario"], line["split"], line["method"])
-        same = f"{next(run['mse'] for run in runs if run['seed'] == 0):.4f}" == line["test_mse"]
+        same = [f"{run['mse']:.4f}" for run in runs if run["seed"] == 0] == [line["test_mse"]]
         rows.append(
             [f"`{line['file']}`", line["sha256"][:8], f"`{line['choice']}`", line["test_mse"] + ("" if same else " ᶜ")]
         )

@@ -60,6 +60,8 @@ def test_runs_on_different_data_share_no_cell() -> None:
         "blocktower, size small, true positions, data_seed=1",
         "blocktower, size tiny, true positions",
     ]
+    (_, frames) = tables(lines[0], measured("mse", 0.01, "derenderer", dataset_ids=["3-x", "4-x"]))
+    assert frames.title == "blocktower, size small, true positions, single frames: test MSE (m²)"
     mixed = found["blocktower, size small, true positions"]
     assert mixed.loc["IN"].tolist() == ["—", "0.100 [0.090, 0.120]"]
     assert list(mixed.columns) == ["3→3 (data 3-old)", "3→3 (data 3-x)"]

@@ -116,6 +116,14 @@ def test_long_latex_tables_may_keep_their_intervals() -> None:
     assert text.count(r"\begin{table}") > 3
 
 
+@pytest.mark.parametrize("label", ["IN (key=[/])", "[bold]", "[64, 64]"])
+def test_a_label_is_no_markup(label: str, capsys: pytest.CaptureFixture[str]) -> None:
+    cells = pd.DataFrame({"a": [Cell("0.1", best=True)]}, index=[label])
+    show("title", cells)
+    assert label in capsys.readouterr().out
+    assert r"\midrule" + "\n[" not in latex(TextTable("x", "title", cells, ""))
+
+
 def test_an_interval_has_no_negative_zero() -> None:
     assert interval(-0.0001, 0.2, ".3f") == "[0.000, 0.200]"
     assert interval(-0.001, 0.2, ".0%") == "[0%, 20%]"

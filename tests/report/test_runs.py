@@ -39,6 +39,8 @@ def test_runs_that_differ_in_their_seed_alone_may_be_averaged() -> None:
     assert comparable_seeds(pd.DataFrame(seen))["seed"].tolist() == [1, 2]
     both = pd.DataFrame([*seen, measured("mse", 0.1, "cophynet", seed=5, epochs=120, derenderer="b")])
     assert comparable_seeds(both)["seed"].tolist() == [5]
+    named = [measured("mse", 0.2, "cophynet", seed=0, derenderer="a", variant=name) for name in ("+derenderer-x", "")]
+    assert comparable_seeds(pd.DataFrame(named))["variant"].tolist() == [""]  # a seed counts once
     copies = [measured("mse", 0.2, "copy_b", seed=seed, epochs=8 + seed, is_trained=False) for seed in (0, 1)]
     assert comparable_seeds(pd.DataFrame(copies))["seed"].tolist() == [0, 1]
     sizes = pd.DataFrame(

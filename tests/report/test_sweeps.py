@@ -49,6 +49,13 @@ def test_the_value_of_the_unchanged_setting_is_in_its_configuration(tmp_path: Pa
     assert sweep.settings["model.scale"].tolist() == ["0.5", "2", "default"]
 
 
+def test_a_configuration_that_unfolds_without_end_tells_nothing(tmp_path: Path) -> None:
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").write_text("model: &a {scale: 1.0, again: *a}\n")
+    (sweep,) = sweeps(setting(0.1, 0.1, tmp_path), setting(0.2, 0.2, scale="0.5"), setting(0.3, 0.3, scale="2"))
+    assert sweep.settings["model.scale"].tolist() == ["0.5", "2", "default"]
+
+
 def test_settings_on_other_data_or_splits_are_no_sweep() -> None:
     one = setting(0.1, 0.1, scale="1")
     assert sweeps(one) == []

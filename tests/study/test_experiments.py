@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from cophy.atomic_files import appearing_whole
-from cophy.drawing.files import read_frames
+from cophy.drawing import files
+from cophy.drawing.files import read_frames, write_video
 from cophy.drawing.overview import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario.rendering import Renderer
-from cophy.study import experiments as module
-from cophy.study.experiments import CLIP, IMAGE, StudyExperiments
+from cophy.study.experiments import CLIP, CODEC, IMAGE, StudyExperiments
 
 FRAMES = np.random.default_rng(0).integers(0, 255, size=(12, 64, 64, 3), dtype=np.uint8)
 
 
 def write(path: Path) -> None:
     with appearing_whole(path) as temporary:
-        module._write_clip(temporary, FRAMES, 25)
+        write_video(temporary, FRAMES, frame_rate_hz=25, codec=CODEC)
 
 
 def test_images_show_c_and_clips_show_ab(experiments: StudyExperiments) -> None:
@@ -42,7 +42,7 @@ def test_images_show_c_and_clips_show_ab(experiments: StudyExperiments) -> None:
 def test_a_truncated_clip_is_removed(share: float, tmp_path: Path) -> None:
     """OpenCV does not report a full disk; here, files are limited in size."""
     write(tmp_path / "whole.webm")
-    assert module._count_frames(tmp_path / "whole.webm") == len(FRAMES)
+    assert files._count_frames(tmp_path / "whole.webm") == len(FRAMES)
     size = (tmp_path / "whole.webm").stat().st_size
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(share * size), hard))
@@ -56,7 +56,7 @@ def test_a_truncated_clip_is_removed(share: float, tmp_path: Path) -> None:
 
 def test_a_clip_that_cannot_be_created_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"nowhere/1-ab\.webm"):
-        module._write_clip(tmp_path / "nowhere" / "1-ab.webm", FRAMES, 25)
+        write_video(tmp_path / "nowhere" / "1-ab.webm", FRAMES, frame_rate_hz=25, codec=CODEC)
 
 
 def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cophy.study.judging import human_rows, read_clicks
+from cophy.errors import CophyError
+from cophy.study.judging import human_rows, judge, read_clicks
 from tests.study.conftest import Site, answer_to, judged_of, take_task
 
 
@@ -51,6 +52,15 @@ def test_practice_and_missing_clicks_do_not_count_as_errors(site: Site) -> None:
     assert rows["answers"].tolist() == [1]
     assert rows["missing"].to_numpy() == pytest.approx(1 - 1 / len(clicks))
     assert np.isfinite(rows["mean"]).all()
+
+
+def test_a_click_on_an_object_that_is_not_in_c_is_named(site: Site) -> None:
+    finish(site, 2)
+    scenes = site.sessions.experiments.scenes
+    clicks = read_clicks(site.path, site.sessions.study)
+    clicks.loc[0, "slot"] = next(iter({*range(4)} - {item["slot"] for item in scenes.objects(clicks["experiment"][0])}))
+    with pytest.raises(CophyError, match="a click on an object that is not in C"):
+        judge(clicks, scenes)
 
 
 def test_the_mean_is_over_ranks_and_sigma_over_answers() -> None:

@@ -159,7 +159,7 @@ OVERRIDES = (
 INVALID = (
     *("[]", "{", "null", '{"scenario": 3}', '{"scenario": "nothing"}', "[" * 100_000),
     *(WHOLE.replace("blocktower", name) for name in ("nothing", "../x", "x y", "${data_dir}")),
-    *(WHOLE.replace("3to3", "../x"), WHOLE.replace("tiny", "nothing")),
+    *(WHOLE.replace("3to3", "../x"), WHOLE.replace("tiny", "nothing"), WHOLE.replace("tiny", "../tiny")),
     *(WHOLE.replace("3,", f"{number},") for number in ("1e400", "-1", "0", "99")),
     *(WHOLE.replace("64", size) for size in ("0", "1e9", "NaN")),
     *(WHOLE.replace("64", f'64, "overrides": {value}') for value in OVERRIDES),

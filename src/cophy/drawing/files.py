@@ -1,4 +1,4 @@
-"""Frames from files, images to files, and animated GIFs."""
+"""Frames from files, images and videos to files, and animated GIFs."""
 
 import io
 import re
@@ -10,12 +10,14 @@ import cv2
 import numpy as np
 from PIL import Image, ImageOps
 
-from cophy.atomic_files import write_atomically
+from cophy.atomic_files import check_space, write_atomically
 from cophy.errors import CophyError
 from cophy.scenario import Camera
 from cophy.untrusted_files import MAX_EDGE, BrokenFileError, check_size, open_clip, read_bytes
 
 SUFFIXES, IMAGE_FORMATS = (".png", ".jpg", ".jpeg"), ("PNG", "JPEG")
+# codec -> container: VP9 4:2:0 in WebM, which all browsers play, and MPEG-4, as the released clips; OpenCV's wheel has both
+CONTAINERS = {"VP90": ".webm", "mp4v": ".mp4"}
 MAX_FRAMES = 1000
 MAX_RATE_ERROR = 0.01  # relative; ours: containers round
 MAX_PIXEL_BYTES = 1 << 29  # ours: all frames together; 30 frames of 2440 × 2440
@@ -101,6 +103,39 @@ def _read_video(path: Path, frame_rate_hz: float | None) -> Iterator[np.ndarray]
             yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
     finally:
         video.release()
+
+
+def write_video(path: Path, frames: np.ndarray, *, frame_rate_hz: int, codec: str) -> None:
+    """Write RGB frames, (T, R, R, 3) uint8, with a codec of CONTAINERS; lossy.
+
+    Raises:
+        OSError: The file cannot be created, or the disk is full.
+        CophyError: OpenCV did not write all frames, which it does not report.
+    """
+    file = path.with_name(f"{path.name}{CONTAINERS[codec]}")  # OpenCV derives the container from the suffix
+    try:
+        file.touch()  # OpenCV does not say why it cannot create a file
+        writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*codec), frame_rate_hz, frames.shape[1:3])
+        if not writer.isOpened():
+            check_space(file)
+            raise CophyError(f"{file}: this OpenCV has no encoder {codec}; install opencv-python-headless")
+        for frame in frames:
+            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+        writer.release()
+        check_space(file)
+        if (written := _count_frames(file)) != len(frames):
+            raise CophyError(f"{file}: only {written} of {len(frames)} frames were written; is the disk full?")
+        file.replace(path)
+    finally:
+        file.unlink(missing_ok=True)
+
+
+def _count_frames(path: Path) -> int:
+    """Count the frames of a clip by decoding it."""
+    video, count = cv2.VideoCapture(str(path)), 0
+    while video.grab():
+        count += 1
+    return count
 
 
 def _count_scans(jpeg: bytes) -> int:

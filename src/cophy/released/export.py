@@ -8,16 +8,16 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 from PIL import ImageColor
 
-from cophy.atomic_files import check_space, read_json, read_plain, write_atomically
+from cophy.atomic_files import read_json, read_plain, write_atomically
 from cophy.dataset.generation import progress_bar
 from cophy.dataset.images import Images
 from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.splits import SPLITS, Part
 from cophy.dataset.states import States, do_operation_of
+from cophy.drawing.files import write_video
 from cophy.errors import CophyError
 from cophy.locks import locked
 from cophy.released.formats import SEQUENCE_FOLDERS, TASKS
@@ -98,8 +98,10 @@ class _Experiment:
         palette = np.zeros((NO_OBJECT + 1, 3), dtype=np.uint8)  # black where there is no object
         palette[: self.scenario.num_slots] = [ImageColor.getrgb(color) for color in self.scenario.colors.values()]
         segmentation = palette[pictures["segmentation"][sequence, :length]]
-        _write_clip(directory / "rgb.mp4", pictures["rgb"][sequence, :length], clock.frame_rate_hz)
-        _write_clip(directory / "segm.mp4", segmentation, clock.frame_rate_hz)
+        write_video(
+            directory / "rgb.mp4", pictures["rgb"][sequence, :length], frame_rate_hz=clock.frame_rate_hz, codec=CODEC
+        )
+        write_video(directory / "segm.mp4", segmentation, frame_rate_hz=clock.frame_rate_hz, codec=CODEC)
 
     def _color_lines(self, sequence: int) -> Iterator[str]:
         """Yield a line per object in the scenario's order, with its type where the task has several."""
@@ -128,19 +130,7 @@ def _write_array(path: Path, array: np.ndarray) -> None:
     path.write_bytes(file.getvalue())
 
 
-def _write_clip(path: Path, frames: np.ndarray, frames_per_second: int) -> None:
-    """Write (T, R, R, 3) uint8 RGB as MPEG-4, like the released clips; lossy."""
-    size = (frames.shape[2], frames.shape[1])
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), frames_per_second, size)  # type: ignore[attr-defined]
-    if not writer.isOpened():
-        check_space(path)
-        raise CophyError(f"{path}: this OpenCV cannot write MPEG-4")
-    for frame in frames:
-        writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-    writer.release()
-    check_space(path)
-
-
+CODEC = "mp4v"  # MPEG-4, as the released clips
 EXPORT_VERSION = 1  # raise it when the exported files change
 MARKER = "export.json"  # names the dataset that a folder holds
 NEEDED_MODALITIES = ("rgb", "segmentation")

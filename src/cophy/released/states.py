@@ -3,6 +3,7 @@
 import hashlib
 import logging
 import os
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -62,8 +63,10 @@ class ReleasedStates(ExperimentSet):
         directory = released_format.directory(root, scenario, num_objects)
         spec = ReleasedSpec(scenario, num_objects, released_format, directory, list_experiments(directory))
         title = f"index of {scenario.name}, {num_objects} objects"
-        keys = f"source={source.name} source.root={root} scenario={scenario.name} split={split.name}"
-        keys = f"{keys} 'num_objects=[{num_objects}]' data_dir={data_dir}"
+        places = " ".join(map(shlex.quote, (f"source.root={root}", f"data_dir={data_dir}")))
+        keys = (
+            f"source={source.name} scenario={scenario.name} split={split.name} 'num_objects=[{num_objects}]' {places}"
+        )
         super().__init__(spec, data_dir / scenario.name / spec.id, title=title, script="audit", keys=keys)
 
     @property

@@ -15,6 +15,7 @@ from cophy.atomic_files import write_atomically
 from cophy.bootstrap import MIN_CLUSTERS, mean, variance_of_mean
 from cophy.errors import CophyError
 from cophy.report import render
+from cophy.report.methods import split_title
 from cophy.report.paper_tables import TRUE_POSITIONS, method_title, methods
 from cophy.report.predictions import stored_scores
 from cophy.report.runs import IN_CAPTIONS, MISSING, POSITIONS, comparable_seeds, elsewhere, notice, read_runs
@@ -325,7 +326,7 @@ def _signed(value: float, digits: int, sign: str = "") -> str:
 
 def _label(line: Mapping[Any, Any], frame: pd.DataFrame) -> str:
     """Return the name of a column; the size is in captions where there is one."""
-    place = [line["scenario"], line["split"].replace("_to_", "→")]
+    place = [line["scenario"], split_title(line["split"])]
     size = [line["size"]] if frame["size"].nunique() > 1 else []
     return " ".join(filter(None, [*place, *size, line["data"].replace("_seed=", " seed ")]))
 

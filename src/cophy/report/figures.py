@@ -109,9 +109,8 @@ def draw_bars(filled: FilledTable) -> Figure:
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False, width_ratios=widths)[0]
     for axis, (label, group) in zip(axes, panels.items(), strict=True):
         at = np.arange(len(group))
-        low, high = (
-            np.where(group["seeds"] > 1, group["sd"], (group["ours"] - group[end]).abs()) for end in ("low", "high")
-        )
+        has_sd = (group["seeds"] > 1) & group["sd"].notna()
+        low, high = (np.where(has_sd, group["sd"], (group["ours"] - group[end]).abs()) for end in ("low", "high"))
         colors = [ORANGE if best else BLUE for best in group["best"]]
         axis.bar(at - 0.2, group["ours"], 0.4, color=colors, yerr=np.nan_to_num([low, high]), error_kw={"lw": 0.8})
         axis.bar(at + 0.2, group["paper"].astype(float).fillna(0), 0.4, color=GREY)

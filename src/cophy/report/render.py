@@ -266,6 +266,7 @@ def _tabular(cells: pd.DataFrame, with_intervals: bool, max_label: int) -> str:
 
 
 def _row(label: str, texts: Iterable[str]) -> str:
+    label = rf"{{}}{label}" if label.startswith("[") else label  # after \\, LaTeX takes it for a length
     return rf"{' & '.join([label, *texts])} \\"
 
 
@@ -340,15 +341,15 @@ def _blocks(texts: pd.DataFrame, width: int, max_label: int = MAX_LABEL) -> list
 
 def _rich_table(texts: pd.DataFrame, cells: pd.DataFrame, width: int) -> Table:
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column(str(texts.index.name or ""), width=min(_label_width(texts), width // 2))
+    table.add_column(escape(str(texts.index.name or "")), width=min(_label_width(texts), width // 2))
     for column in texts:
-        table.add_column(str(column), justify="right", width=_width(str(column), texts[column]))
+        table.add_column(escape(str(column)), justify="right", width=_width(str(column), texts[column]))
     for label, row, of_row in zip(texts.index, texts.to_numpy(), cells.to_numpy(), strict=True):
         marked = [
-            f"[bold]{cell.ours}[/bold]{escape(text.removeprefix(cell.ours))}" if cell.best else escape(text)
+            f"[bold]{escape(cell.ours)}[/bold]{escape(text.removeprefix(cell.ours))}" if cell.best else escape(text)
             for text, cell in zip(row, of_row, strict=True)
         ]
-        table.add_row(str(label), *marked)
+        table.add_row(escape(str(label)), *marked)
     return table
 
 

@@ -26,7 +26,7 @@ POSITIONS = {  # what a predictor sees, and how the report says it
     "train_ground_truth_test_derendered": "estimated positions in testing",
 }
 COST = ("training_cpu_seconds", "parameters", "learning_rate")
-CHECKPOINTS = ("derenderer", "predictor")  # hashes of checkpoints that the user named
+CHECKPOINTS = ("derenderer", "predictor")  # hashes of the checkpoints that a run used
 VARIANT = re.compile(r"(\+[\w.+-]+)?")
 KEY = re.compile(r"[\w./@-]+")
 DATA_KEYS = ("data_seed", "confounders", "source_scenario", "scenario.", "size.", "split.")  # how keys of data begin
@@ -319,18 +319,20 @@ def select(runs: pd.DataFrame, **names: str) -> pd.DataFrame:
 def comparable_seeds(runs: pd.DataFrame) -> pd.DataFrame:
     """Return those finished runs of one row and size that differ in their seed alone.
 
-    They are the runs of the longest training and, of these, those that used the most frequent de-renderer.
+    They are the runs of the longest training and, of these, those that used the most frequent de-renderer; of several runs with
+    one seed (a de-renderer may be named in several ways), the one that changes the fewest keys.
 
     Args:
         runs: See `read_runs`; `epochs` may be NaN where nothing was trained.
     """
     if len(runs) == 1:
         return runs
+    runs = runs.sort_values("variant", key=lambda variants: variants.str.len(), kind="stable")
     is_trained = runs["epochs"].notna().any() and ("is_trained" not in runs or runs["is_trained"].any())
     longest = runs[runs["epochs"] == runs["epochs"].max()] if is_trained else runs
-    if "derenderer" not in longest or longest["derenderer"].nunique() < 2:
-        return longest
-    return longest[longest["derenderer"] == longest["derenderer"].mode().iloc[0]]
+    if "derenderer" in longest and longest["derenderer"].nunique() > 1:
+        longest = longest[longest["derenderer"] == longest["derenderer"].mode().iloc[0]]
+    return longest.drop_duplicates("seed").sort_index()
 
 
 def largest_size(runs: pd.DataFrame) -> pd.DataFrame:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from cophy.atomic_files import read_plain
 from cophy.report.methods import METHOD, TABLE, VALIDATION, listed, measured_cell, method_title, natural, table_name
 from cophy.report.render import UNCERTAINTY, TextTable
 from cophy.training.run import flatten, short_keys
@@ -79,13 +81,21 @@ def _value(changed: dict[str, str], key: str, directory: Path) -> str:
     """Return the value of a key as text; where a run does not change it, the one in its configuration."""
     if key in changed:
         return changed[key]
-    try:
-        config = yaml.safe_load((directory / CONFIG).read_text("utf-8"))
-    except (OSError, ValueError, RecursionError, yaml.YAMLError):  # moved or damaged
-        return UNCHANGED
-    values = {str(value) for name, value in flatten({"": config}).items() if name.endswith(f".{key}")}
+    values = {str(value) for name, value in _configuration(directory).items() if name.endswith(f".{key}")}
     values = {text for text in values if "${" not in text}
     return values.pop() if len(values) == 1 else UNCHANGED
+
+
+@cache
+def _configuration(directory: Path) -> dict[str, Any]:
+    """Return the keys of a run's configuration with their values; none if the file is missing or damaged."""
+    try:
+        text = read_plain(directory / CONFIG)
+        # nothing of Hydra's is an alias, and aliases of aliases may unfold without end
+        is_plain = not any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader))
+        return flatten({"": yaml.safe_load(text)}) if is_plain else {}
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
+        return {}
 
 
 def sweep_table(sweep: Sweep) -> TextTable:

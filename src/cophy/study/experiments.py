@@ -5,14 +5,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from tqdm import tqdm
 
-from cophy.atomic_files import appearing_whole, check_space, without_leftovers
+from cophy.atomic_files import appearing_whole, without_leftovers
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import States, sort_by_twins
-from cophy.drawing.files import write_image
+from cophy.drawing.files import write_image, write_video
 from cophy.drawing.overview import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
@@ -22,7 +21,7 @@ from cophy.workers import worker_pool
 
 AB, CD = 0, 1  # index of the sequence in arrays
 IMAGE, CLIP = "c.png", "ab.webm"  # ends of file names
-CODEC = "VP90"  # VP9 4:2:0 in WebM, which all browsers play; OpenCV's wheel contains the encoder
+CODEC = "VP90"  # which all browsers play
 RENDERED_ARRAYS = ("states", "presence", "shape", "background_seed")
 
 Positions = dict[int, tuple[float, float]]  # slot -> x, y in pixels
@@ -174,38 +173,5 @@ def _draw(scenario: Scenario, resolution: int, arrays: dict[str, np.ndarray], st
             clip = render_sequence(renderer, arrays, row, AB, slice(None)).rgb
             write_image(stem.with_name(f"{stem.name}-{IMAGE}"), image)
             with appearing_whole(stem.with_name(f"{stem.name}-{CLIP}")) as path:
-                _write_clip(path, clip, scenario.clock.frame_rate_hz)
+                write_video(path, clip, frame_rate_hz=scenario.clock.frame_rate_hz, codec=CODEC)
     return len(stems)
-
-
-def _write_clip(path: Path, frames: np.ndarray, frame_rate_hz: int) -> None:
-    """Write RGB frames, (frame, R, R, 3), as a WebM file.
-
-    Raises:
-        OSError: The file cannot be created, or the disk is full.
-        CophyError: OpenCV did not write all frames, which it does not report.
-    """
-    webm = path.with_name(f"{path.name}.webm")  # OpenCV derives the container from the suffix
-    try:
-        webm.touch()  # OpenCV does not say why it cannot create a file
-        writer = cv2.VideoWriter(str(webm), cv2.VideoWriter.fourcc(*CODEC), frame_rate_hz, frames.shape[1:3])
-        if not writer.isOpened():
-            check_space(webm)
-            raise CophyError(f"{webm}: this OpenCV writes no {CODEC} in WebM; install opencv-python-headless")
-        for frame in frames:
-            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-        writer.release()
-        check_space(webm)
-        if (written := _count_frames(webm)) != len(frames):
-            raise CophyError(f"{webm}: only {written} of {len(frames)} frames were written; is the disk full?")
-        webm.replace(path)
-    finally:
-        webm.unlink(missing_ok=True)
-
-
-def _count_frames(path: Path) -> int:
-    """Count the frames of a clip by decoding it."""
-    video, count = cv2.VideoCapture(str(path)), 0
-    while video.grab():
-        count += 1
-    return count

@@ -99,7 +99,7 @@ def judge(clicks: pd.DataFrame, scenes: Scenes) -> pd.DataFrame:
     The error is in pixels of an image of 448 × 448, NaN where the object was not clicked.
 
     Raises:
-        CophyError: An answer belongs to an experiment that the dataset does not have.
+        CophyError: An answer belongs to an experiment that the dataset does not have, or to an object that is not in C.
     """
     truth = []
     for experiment in clicks["experiment"].unique().tolist():
@@ -110,6 +110,8 @@ def judge(clicks: pd.DataFrame, scenes: Scenes) -> pd.DataFrame:
             truth.append((experiment, item["slot"], item["name"], item["color"], rank, *ends[item["slot"]]))
     columns = ["experiment", "slot", "object", "color", "rank", "true_x", "true_y"]
     judged = clicks.merge(pd.DataFrame(truth, columns=columns), on=["experiment", "slot"], how="left", validate="m:1")
+    if judged["rank"].isna().any():
+        raise CophyError("an answer has a click on an object that is not in C")
     distance = np.hypot(judged["x"] - judged["true_x"], judged["y"] - judged["true_y"])
     return judged.assign(error=distance * REFERENCE_RESOLUTION / scenes.resolution)
 

@@ -79,11 +79,11 @@ def _judge(path: Path, study: str, description: str, dataset: Dataset) -> list[S
     try:
         values = json.loads(description)
         scenario, split, resolution = values["scenario"], values["split"], int(values["resolution"])
-        for name in (scenario, split, *clicks["kind"].unique()):  # parts of the names of figures
+        size, data, overrides = str(values["size"]), values["data"], [str(each) for each in values.get("overrides", [])]
+        for name in (scenario, split, size, *clicks["kind"].unique()):  # of files
             check_name("study", name)
         check_resolution(resolution)
         num_objects, data_seed = int(values["num_objects"]), int(values.get("data_seed", 0))
-        size, data, overrides = str(values["size"]), values["data"], [str(each) for each in values.get("overrides", [])]
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise CophyError(f"its description was not written by study.py ({type(error).__name__}: {error})") from error
     states = dataset(scenario, num_objects, size, data_seed, overrides)
