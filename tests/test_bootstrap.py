@@ -57,6 +57,12 @@ def test_columns_weigh_the_same_however_many_experiments_they_have() -> None:
     assert interval(bottom[:, None], clusters) == pytest.approx(interval(bottom, clusters))
 
 
+def test_a_column_without_experiments_has_no_weight() -> None:
+    values = np.array([[1.0, np.nan], [3.0, np.nan]])
+    assert mean(values) == 2.0
+    assert interval(values, np.arange(2))[0] == 1.0
+
+
 def test_a_draw_without_a_rare_column_is_of_the_others() -> None:
     rare = np.array([[1.0, 5.0], [2.0, np.nan], [3.0, np.nan]])
     assert all(1.0 <= end <= 5.0 for end in interval(rare, np.arange(3)))

@@ -255,6 +255,17 @@ TABLES: dict[str, tuple[Callable[[dict[str, np.ndarray]], dict[str, Any]], str]]
 
 
 @NEEDS_ARROW
+def test_a_column_that_is_there_twice_is_named(truth: Truth, tmp_path: Path) -> None:
+    from pyarrow import Table, parquet
+
+    columns = table(truth)
+    repeated = Table.from_arrays([*columns.values(), columns["id"]], names=[*columns, "id"])
+    parquet.write_table(repeated, tmp_path / "mine.parquet")
+    with refused("columns id are there twice"):
+        read_predictions_file(tmp_path / "mine.parquet", truth)
+
+
+@NEEDS_ARROW
 @pytest.mark.parametrize("fault", TABLES)
 def test_faults_of_tables_get_one_line(fault: str, truth: Truth, tmp_path: Path) -> None:
     make, message = TABLES[fault]

@@ -26,11 +26,12 @@ def mean(values: np.ndarray | Ratio) -> float:
     """Return the mean over the experiments that count (those that are not NaN), or the ratio of two sums.
 
     For values of two dimensions (experiment, column), it is the mean of the columns' means: every column has the same
-    weight, however many experiments it has.
+    weight, however many experiments it has, unless it has none.
     """
     if isinstance(values, Ratio):
         return float(values.numerator.sum() / values.denominator.sum())
-    return float(np.nanmean(values, axis=0).mean())
+    columns = values[:, ~np.isnan(values).all(axis=0)] if values.ndim == 2 else values
+    return float(np.nanmean(columns, axis=0).mean())
 
 
 def interval(values: np.ndarray | Ratio, clusters: np.ndarray) -> tuple[float, float]:

@@ -39,7 +39,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from cophy.atomic_files import read_json
-from cophy.config import CONF, composed
+from cophy.config import CONF, composed, settings
 from cophy.errors import SAFE, CophyError, printable
 from cophy.schemas import register
 from cophy.training.run import FAILURE, SWEEP
@@ -60,9 +60,10 @@ class LogFile(logging.FileHandler):
 
 
 def _printable_record(*arguments: Any, **keywords: Any) -> logging.LogRecord:
-    """Return a record of a log; its message may quote files and names from elsewhere."""
-    record = logging.LogRecord(*arguments, **keywords)
-    record.msg, record.args = printable(record.getMessage()), None
+    """Return a record of a log; the messages of this package may quote files and names from elsewhere."""
+    record = _make_record(*arguments, **keywords)
+    if str(record.name).partition(".")[0] == __package__:
+        record.msg, record.args = printable(record.getMessage()), None
     return record
 
 
@@ -73,6 +74,7 @@ def print_error_of_thread(arguments: threading.ExceptHookArgs) -> None:
 
 
 # at import, because processes of Hydra's launchers import this module and call no function of it before they need it
+_make_record = logging.getLogRecordFactory()
 logging.setLogRecordFactory(_printable_record)
 threading.excepthook = print_error_of_thread
 if isinstance(sys.stdout, io.TextIOWrapper):
@@ -208,6 +210,16 @@ def is_user_error(error: BaseException) -> bool:
     if isinstance(error, HydraException | OmegaConfBaseException | CophyError) or str(error).startswith(LOGGING_ERROR):
         return True
     return _is_refused_by_hydra(error) or _explain_slurm(error) != ""
+
+
+def settings_from_python(command: str, *overrides: str) -> Any:
+    """Return what a command composes, as `cophy.config.settings`; errors that the user can fix have one line."""
+    try:
+        return settings(command, *overrides)
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        if not is_user_error(error):
+            raise
+        raise CophyError(explain(error).removesuffix(OWN_FOLDER)) from None  # Python has no such option
 
 
 def _is_refused_by_hydra(error: BaseException) -> bool:

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
 from torch import nn
 
-from cophy.cli import OWN_FOLDER, explain, is_user_error
-from cophy.config import experiments_of, settings
+from cophy.cli import settings_from_python
+from cophy.config import experiments_of
 from cophy.dataset import generation
 from cophy.dataset.archive import opened
 from cophy.dataset.datamodules import ExperimentDataset
@@ -81,12 +79,7 @@ def load(
         overrides["source.root"] = _quoted(root)
     if resolution is not None:
         overrides["render.resolution"] = resolution
-    try:
-        config: TrainConfig = settings("train", *(f"{key}={value}" for key, value in overrides.items()))
-    except (HydraException, OmegaConfBaseException, ValueError) as error:
-        if not is_user_error(error):
-            raise
-        raise CophyError(explain(error).removesuffix(OWN_FOLDER)) from None  # Python has no such option
+    config: TrainConfig = settings_from_python("train", *(f"{key}={value}" for key, value in overrides.items()))
     count = num_objects or config.split.train.num_objects
     counted = config.size.num_experiments.get(scenario, {})
     if source == GENERATED and count not in (possible := [n for n in config.scenario.num_objects if str(n) in counted]):

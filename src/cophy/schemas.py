@@ -72,6 +72,10 @@ class TrainerConfig:
                 raise ValueError(f"trainer.{key}=0: at least one batch is needed")
         if self.max_epochs == 0 or self.max_epochs < -1:
             raise ValueError(f"trainer.max_epochs={self.max_epochs} must be positive, or -1 for no limit")
+        if self.precision in ("16", "16-mixed"):  # see `cophy.models.rollout.limit_gradient`
+            raise ValueError(
+                f"trainer.precision={self.precision} scales losses, which the limit of gradients in rollouts undoes: use bf16-mixed"
+            )
         _check_range("trainer.check_val_every_n_epoch", self.check_val_every_n_epoch, 1)
         _check_range("trainer.log_every_n_steps", self.log_every_n_steps, 1)
 
@@ -114,7 +118,7 @@ class DataConfig:
 
     def __post_init__(self) -> None:
         _check_range("data_seed", self.data_seed, 0)
-        _check_folders(self)
+        _check_paths(self)
         if not isinstance(self.scenario, SCENARIOS.get(self.scenario.name, Scenario)):
             raise ValueError(f"scenario.name={self.scenario.name} is the name of another scenario")
         self.split.check_scenario(self.scenario)  # before slow imports
@@ -290,6 +294,8 @@ class ScoreConfig(DataConfig):
         _check_choice("positions", self.positions, ESTIMATED)
         if (self.predictions is None) == (self.template is None):
             raise ValueError("give predictions=, a file to score, or template=, a file to write with all ids")
+        if self.num_objects is not None:
+            raise ValueError("num_objects= of the test split is set by split=")
         if self.name is not None:
             check_name("name", self.name)
 
@@ -308,7 +314,7 @@ class PredictConfig:
     directory: str = MISSING
 
     def __post_init__(self) -> None:
-        _check_folders(self)
+        _check_paths(self)
 
 
 @dataclass
@@ -327,14 +333,16 @@ class ReportConfig:
     compare: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        _check_folders(self)
+        _check_paths(self)
 
 
-def _check_folders(config: Any) -> None:
+def _check_paths(config: Any) -> None:
     """Expand `~`, which shells leave alone inside of quotes."""
-    for key in ("data_dir", "directory", "outputs", "root"):
+    folders = ("data_dir", "directory", "outputs", "root")
+    files = ("ckpt", "predictor", "derenderer", "predictions", "template", "observed", "initial", "truth", "background")
+    for key in (*folders, *files):
         if (path := getattr(config, key, None)) == "":
-            raise ValueError(f"{key}= is empty: it names a folder")
+            raise ValueError(f"{key}= is empty: it names a {'folder' if key in folders else 'file'}")
         if path is not None:
             setattr(config, key, os.path.expanduser(path))
 

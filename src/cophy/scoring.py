@@ -137,12 +137,17 @@ class Scores:
         return {name: interval(values, self.cluster) for name, values in self.values.items()}
 
     def select(self, rows: np.ndarray) -> "Scores":
-        """Return the scores of some experiments, by index or mask."""
+        """Return the scores of some experiments, by index or mask, without measures of which none has a value."""
         values = {
             name: Ratio(*(part[rows] for part in value)) if isinstance(value, Ratio) else value[rows]
             for name, value in self.values.items()
         }
+        values = {name: value for name, value in values.items() if _has_values(value)}
         return Scores(self.experiment[rows], self.cluster[rows], self.truth[rows], values)
+
+
+def _has_values(values: np.ndarray | Ratio) -> bool:
+    return bool(values.denominator.any() if isinstance(values, Ratio) else not np.isnan(values).all())
 
 
 def score(predictions: Predictions, truth: Truth) -> Scores:

@@ -11,17 +11,16 @@ Nothing here imports torch.
 """
 
 import io
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
 
 from cophy.atomic_files import MAX_ARRAY_BYTES, read_npz, write_atomically
-from cophy.config import generated_by, settings
+from cophy.config import generated_by
 from cophy.dataset.experiment_set import ExperimentSet
 from cophy.dataset.splits import Split
 from cophy.dataset.states import reduce_to_frames
@@ -71,15 +70,12 @@ def load_truth(
     Raises:
         CophyError: A name does not exist, or the data are missing or damaged; the message says what to do.
     """
-    from cophy.cli import OWN_FOLDER, explain  # Hydra's errors; a command has imported it
+    from cophy.cli import settings_from_python  # a command has imported it
 
     keys = {"scenario": scenario, "split": split, "size": size, "data_seed": data_seed}
-    try:
-        config = settings("generate", *(f"{key}={value}" for key, value in keys.items() if value is not None))
-    except (HydraException, OmegaConfBaseException) as error:
-        raise CophyError(explain(error).removesuffix(OWN_FOLDER)) from None
+    config = settings_from_python("generate", *(f"{key}={value}" for key, value in keys.items() if value is not None))
     if data_dir is not None:
-        config.data_dir = str(data_dir)
+        config.data_dir = os.path.expanduser(data_dir)
     (experiments,) = (each for each in generated_by(config) if each.spec.num_objects == config.split.test.num_objects)
     return read_test_split(experiments, config.scenario, config.split).truth
 
@@ -176,10 +172,6 @@ def _from_arrays(path: Path) -> Predictions:
 
 def _from_table(path: Path, truth: Truth) -> Predictions:
     columns = _read_columns(path)
-    if wrong := [name for name, column in columns.items() if column.dtype.kind not in "iuf"]:
-        raise ValueError(f"{', '.join(wrong)}: these columns hold no numbers")
-    if wrong := [name for name in (*KEY, "sample") if name in columns and columns[name].dtype.kind == "f"]:
-        raise ValueError(f"{', '.join(wrong)}: these columns hold no integers")
     count, steps, slots, _ = truth.position.shape
     order = np.argsort(truth.experiment)
     row = order[np.searchsorted(truth.experiment, columns["id"], sorter=order).clip(max=count - 1)]
@@ -226,9 +218,18 @@ def _read_columns(path: Path) -> dict[str, np.ndarray]:
         raise ValueError("there is no such file")
     try:
         file = arrow.parquet.ParquetFile(path)
-        names = [*KEY, *VALUES, *(name for name in ("sample", "stable_logit") if name in file.schema_arrow.names)]
-        if missing := [name for name in names if name not in file.schema_arrow.names]:
+        schema, types = file.schema_arrow, arrow.types
+        names = [*KEY, *VALUES, *(name for name in ("sample", "stable_logit") if name in schema.names)]
+        if missing := [name for name in names if name not in schema.names]:
             raise ValueError(f"columns {', '.join(missing)} are missing; {REMEDY}")
+        if repeated := [name for name in names if schema.names.count(name) > 1]:
+            raise ValueError(f"columns {', '.join(repeated)} are there twice")
+        integers = [name for name in names if types.is_integer(schema.field(name).type)]
+        floats = [name for name in names if types.is_floating(schema.field(name).type)]
+        if wrong := [name for name in names if name not in (*integers, *floats)]:
+            raise ValueError(f"{', '.join(wrong)}: these columns hold no numbers")
+        if wrong := [name for name in (*KEY, "sample") if name in floats]:
+            raise ValueError(f"{', '.join(wrong)}: these columns hold no integers")
         if file.metadata.num_rows * len(names) * 8 > MAX_ARRAY_BYTES:
             raise ValueError(f"more than {MAX_ARRAY_BYTES} bytes of numbers")
         table = file.read(columns=names)

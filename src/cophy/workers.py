@@ -50,7 +50,7 @@ def worker_pool(
     Raises:
         CophyError: A process was killed.
     """
-    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
+    if multiprocessing.get_start_method(allow_none=True) not in (None, *multiprocessing.get_all_start_methods()):
         multiprocessing.set_start_method("spawn", force=True)  # a job of joblib: its "loky" is unknown to its children
     before, context = multiprocessing.active_children(), _Context()
     with ProcessPoolExecutor(workers, context, _start, (initializer, arguments)) as pool:

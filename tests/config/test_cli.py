@@ -87,6 +87,11 @@ def test_messages_of_logs_are_printable(caplog: pytest.LogCaptureFixture) -> Non
     assert caplog.messages == ["a\\x1b[2J\\ud800\n is skipped"]
 
 
+def test_logs_of_other_packages_stay_as_they_are(caplog: pytest.LogCaptureFixture) -> None:
+    record = logging.getLogRecordFactory()("other", logging.WARNING, "file.py", 1, "%d", ("a",), None)
+    assert (record.msg, record.args) == ("%d", ("a",))  # logging itself reports it, and raises nothing
+
+
 def test_a_full_disk_does_not_disturb_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     handler = LogFile(str(tmp_path / "run.log"))
     handler.stream = SimpleNamespace(write=raising(errno.ENOSPC))  # type: ignore[assignment]

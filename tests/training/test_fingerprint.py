@@ -148,6 +148,11 @@ def run(tmp_path: Path) -> Run:
     return make_run(tmp_path, "4to4")
 
 
+def test_a_loss_that_is_not_written_in_python_is_an_error_of_the_user() -> None:
+    with pytest.raises(CophyError, match=r"training\.loss: no signature found"):
+        instantiate_function("training.loss", {"_target_": "torch.nn.functional.pairwise_distance"})
+
+
 def make_run(root: Path, split: str, variant: str = "") -> Run:
     run = Run("balls", split, "cophynet", "full", "ground_truth", 1, "tiny", variant, root)
     run.directory = root / run.place
@@ -161,6 +166,7 @@ def leave_checkpoints(run: Run, text: str = "weights") -> None:
 
 
 FACTS = {"training_seconds": 3.0, "training_cpu_seconds": 2.0, "resumed": 0, "validation": {"val/mse": 1.0}}
+CODE = {"code": "old"}
 
 
 @pytest.mark.parametrize(("split", "variant"), [("4to3", ""), ("4to4", "+derenderer-x")])
@@ -168,70 +174,91 @@ def test_a_finished_training_is_found_in_a_run_with_another_test(
     split: str, variant: str, run: Run, tmp_path: Path
 ) -> None:
     leave_checkpoints(run)
-    record_finished(run, "same", FACTS)
+    record_finished(run, "same", FACTS | CODE)
     other = make_run(tmp_path, split, variant)
-    start = start_training(other, "same", reuse=True, ckpt=None)
+    start = start_training(other, "same", reuse=True, ckpt=None, code="new")
     assert start == (FACTS, other.checkpoints / "best.ckpt", 0, False)
     assert (other.checkpoints / "best.ckpt").read_text() == "weights"
-    assert start_training(make_run(tmp_path, "4to5"), "another", reuse=True, ckpt=None).finished is None
-    assert start_training(other, "same", reuse=False, ckpt=None).finished is None
-
-
-def test_a_training_of_an_earlier_version_is_still_found(run: Run) -> None:
-    leave_checkpoints(run)
-    record_finished(run, "same", {key: value for key, value in FACTS.items() if key != "training_cpu_seconds"})
-    assert start_training(run, "same", reuse=True, ckpt=None).finished == FACTS | {"training_cpu_seconds": 0.0}
+    assert start_training(make_run(tmp_path, "4to5"), "another", reuse=True, ckpt=None, code="new").finished is None
+    assert start_training(other, "same", reuse=False, ckpt=None, code="new").finished is None
 
 
 @pytest.mark.parametrize(
-    ("stored", "code", "said"),
+    ("code", "said"),
     [
-        ({}, "new", "other code, data or settings"),
-        ({"code": "old"}, "new", "other code (of cophy, or .py files beside your model or loss)"),
-        ({"code": "old"}, "old", "other data or settings, or another version of torch"),
+        ("new", "other code (of cophy, or .py files beside your model or loss)"),
+        ("old", "other data or settings, or another version of torch"),
     ],
 )
 def test_a_finished_training_is_not_made_again_without_a_word(
-    stored: dict[str, str], code: str, said: str, run: Run, caplog: pytest.LogCaptureFixture
+    code: str, said: str, run: Run, caplog: pytest.LogCaptureFixture
 ) -> None:
     message = f"the results in {run.directory} come from {said}: the model is trained again"
     for is_reused, messages in ((True, [message]), (False, [])):
         leave_checkpoints(run)
-        record_finished(run, "same", FACTS | stored)
+        record_finished(run, "same", FACTS | CODE)
         assert start_training(run, "another", reuse=is_reused, ckpt=None, code=code).finished is None
         assert caplog.messages == messages
         caplog.clear()
 
 
 def test_an_interrupted_training_continues_only_with_the_same_fingerprint(run: Run) -> None:
-    assert start_training(run, "same", reuse=True, ckpt=None) == (None, None, 0, False)
+    assert start_training(run, "same", reuse=True, ckpt=None, code="new") == (None, None, 0, False)
     for resumed in (1, 2):
         leave_checkpoints(run)
-        assert start_training(run, "same", reuse=True, ckpt=None) == (
+        assert start_training(run, "same", reuse=True, ckpt=None, code="new") == (
             *(None, run.checkpoints / "last.ckpt", resumed, True),
         )
-    assert start_training(run, "another", reuse=True, ckpt=None) == (None, None, 0, False)
+    assert start_training(run, "another", reuse=True, ckpt=None, code="new") == (None, None, 0, False)
     assert (run.checkpoints / "last_of_stopped.ckpt").read_text() == "weights"  # hours of work, perhaps
+
+
+def test_a_training_stopped_before_its_first_validation_continues(run: Run) -> None:
+    start_training(run, "same", reuse=True, ckpt=None, code="new")
+    (run.checkpoints / "last.ckpt").write_text("weights")
+    start = start_training(run, "same", reuse=True, ckpt=None, code="new")
+    assert start == (None, run.checkpoints / "last.ckpt", 1, True)
+
+
+def test_a_finished_training_that_is_used_again_removes_no_interrupted_one(run: Run, tmp_path: Path) -> None:
+    start_training(run, "interrupted", reuse=True, ckpt=None, code="new")
+    leave_checkpoints(run, "interrupted")
+    other = make_run(tmp_path, "4to3")
+    leave_checkpoints(other)
+    record_finished(other, "same", FACTS | CODE)
+    assert start_training(run, "same", reuse=True, ckpt=None, code="new").finished == FACTS
+    assert (run.checkpoints / "best.ckpt").read_text() == "weights"
+    assert (run.checkpoints / "last_of_stopped.ckpt").read_text() == "interrupted"
+
+
+@pytest.mark.parametrize(("name", "best"), [("last.ckpt", "weights"), ("last_of_stopped.ckpt", None)])
+def test_only_the_last_checkpoint_has_the_best_of_its_training(name: str, best: str | None, run: Run) -> None:
+    leave_checkpoints(run)
+    ckpt = run.checkpoints / name
+    ckpt.write_text("weights")
+    start_training(run, "another", reuse=True, ckpt=ckpt, code="new")
+    path = run.checkpoints / "best.ckpt"
+    assert (path.read_text() if path.exists() else None) == best
 
 
 def test_a_damaged_note_is_named_and_its_checkpoints_are_kept(run: Run) -> None:
     leave_checkpoints(run)
-    record_finished(run, "same", FACTS)
+    record_finished(run, "same", FACTS | CODE)
     path = run.checkpoints / "finished.json"
     path.write_text(path.read_text()[:9])
     with pytest.raises(CophyError, match=r"finished\.json is damaged"):
-        start_training(run, "same", reuse=True, ckpt=None)
+        start_training(run, "same", reuse=True, ckpt=None, code="new")
     assert (run.checkpoints / "best.ckpt").read_text() == "weights"
 
 
 def test_a_note_that_may_not_be_read_does_not_mean_never_trained(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     leave_checkpoints(run)
-    record_finished(run, "same", FACTS)
+    record_finished(run, "same", FACTS | CODE)
 
     def refuse(path: Path) -> bytes:
         raise PermissionError(13, "Permission denied", str(path))
 
     monkeypatch.setattr(reuse, "read_json", refuse)
     with pytest.raises(PermissionError):
-        start_training(run, "same", reuse=True, ckpt=None)
+        start_training(run, "same", reuse=True, ckpt=None, code="new")
     assert (run.checkpoints / "best.ckpt").read_text() == "weights"

@@ -7,7 +7,7 @@ from torch import nn
 from torch.optim import SGD
 from torch.optim.lr_scheduler import LambdaLR
 
-from cophy.training.optimisation import cosine_to_zero
+from cophy.training.optimisation import constant, cosine_to_zero
 from tests.commands import train
 
 
@@ -34,6 +34,13 @@ def test_a_longer_training_continues_at_its_own_rates() -> None:
     optimizer.load_state_dict(shorter[0].state_dict())  # in Lightning's order
     schedule.load_state_dict(shorter[1].state_dict())
     assert rates(optimizer, schedule, 4) == pytest.approx(expected[4:], abs=1e-12)
+
+
+def test_a_training_without_a_last_epoch_has_no_cosine() -> None:
+    with pytest.raises(ValueError, match=r"trainer\.max_epochs=-1 has no last epoch.*schedule=constant"):
+        start(-1)
+    optimizer = SGD(nn.Linear(1, 1).parameters(), lr=0.5)
+    assert rates(optimizer, constant(optimizer, -1), 3) == [0.5] * 3
 
 
 def test_gradients_too_large_for_soap_are_an_error_of_the_user(tiny_data: Path, tmp_path: Path) -> None:

@@ -91,16 +91,6 @@ def test_results_of_a_training_are_not_replaced_by_those_of_a_checkpoint(run: Ru
         pass
 
 
-def test_results_of_earlier_versions_have_no_variant(run: Run) -> None:
-    finish(run)
-    path = run.directory / "metrics.json"
-    content = json.loads(path.read_text())
-    del content["variant"]
-    path.write_text(json.dumps(content))
-    with run.locked():
-        pass
-
-
 @pytest.mark.parametrize("text", ["{", "[]", ""])
 def test_damaged_results_are_named_and_kept(run: Run, text: str) -> None:
     run.directory.mkdir()

@@ -152,6 +152,17 @@ def test_without_a_derenderer_the_error_says_how_to_get_one(tmp_path: Path) -> N
         find_derenderer(tmp_path, "balls", {4}, "4to4")
 
 
+def test_a_run_without_readable_weights_hides_no_other_derenderer(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run = tmp_path / "balls" / "4to4" / "derenderer" / "full" / "ground_truth" / "seed0"
+    run.mkdir(parents=True)
+    (run / "metrics.json").write_text("{}")
+    with pytest.raises(CophyError, match="no de-renderer of balls with 4 objects"):
+        find_derenderer(tmp_path, "balls", {4}, "4to4")
+    assert "a de-renderer is left out" in caplog.text
+
+
 def test_a_missing_checkpoint_is_named(tmp_path: Path) -> None:
     with pytest.raises(CophyError, match=r"no\.ckpt is not a file"):
         TrainedDerenderer(tmp_path / "no.ckpt")

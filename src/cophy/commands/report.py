@@ -5,14 +5,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from hydra.errors import HydraException
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
 
 from cophy import cli
-from cophy.config import generated_by, settings, to_config
+from cophy.config import generated_by, to_config
 from cophy.dataset.source import GENERATED
 from cophy.dataset.splits import Split
 from cophy.dataset.states import States
@@ -57,7 +54,7 @@ class ComposedData:
 
     def __init__(self, source: str, data_dir: Path) -> None:
         self.source, self.data_dir = source, data_dir
-        self._composed = cache(_composed)
+        self._composed = cache(cli.settings_from_python)
 
     def scenario(self, name: str) -> Scenario:
         """Return the scenario of a name."""
@@ -109,11 +106,3 @@ class ComposedData:
         config = self._composed("generate", *names, *overrides)
         (states,) = generated_by(replace(config, num_objects=[num_objects], data_dir=str(self.data_dir)))
         return states
-
-
-def _composed(command: str, *overrides: str) -> Any:
-    """Return the configuration of a command; errors of Hydra are reported in one line."""
-    try:
-        return settings(command, *overrides)
-    except (HydraException, OmegaConfBaseException) as error:
-        raise CophyError(cli.explain(error)) from error

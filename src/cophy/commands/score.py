@@ -71,7 +71,7 @@ def leaderboard_lines(run: Run, data_seed: int, facts: dict[str, Any], scores: S
     means, intervals = scores.means(), scores.intervals()
     lines = {name: getattr(run, name) for name in ("scenario", "split", "size", "seed", "positions")}
     lines |= {"data_seed": data_seed, "sha256": facts[SCORED_FILE], "num_test": facts["num_test"]}
-    for name in ("mse", "twin_difference_explained", "right_twin_chosen"):
+    for name in (each for each in ("mse", "twin_difference_explained", "right_twin_chosen") if each in means):
         lines[name] = [float(f"{value:.6g}") for value in (means[name], *intervals[name])]
     text = yaml.safe_dump([lines], sort_keys=False, default_flow_style=None, width=1000)
     return f"For leaderboard/, below scores:\n{text}"

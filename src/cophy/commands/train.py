@@ -139,6 +139,11 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
         if start.finished is None:
             facts = fit(trainer, module, data, start.checkpoint) | {"resumed": start.resumed}
             tested = None if config.trainer.fast_dev_run else run.checkpoints / "best.ckpt"
+            if tested is not None and not tested.is_file():
+                raise CophyError(
+                    "the training ended before its first validation: raise trainer.max_time= or trainer.max_epochs=, or lower "
+                    "trainer.check_val_every_n_epoch="
+                )
             if tested is not None and is_rank_zero():
                 record_finished(run, training_hash, facts | {"code": code})
         else:

@@ -120,8 +120,7 @@ def make_origin(config: Mapping[str, Any], trained_on: list[Any]) -> dict[str, A
     trainer = {key: value for key, value in config["trainer"].items() if f"trainer.{key}" not in NO_EFFECT}
     keys = [key for key in KEYS if key not in ("trainer", "trained_on", "format")]
     values = {key: config[key] for key in keys}
-    # without the folder of outputs, a path of this machine
-    values["source"] = {key: value for key, value in values["source"].items() if key != "outputs"}
+    values["source"] = {"name": config["source"]["name"]}  # without paths of this machine
     return {**values, "trainer": trainer, "trained_on": trained_on, "format": FORMAT_VERSION}
 
 

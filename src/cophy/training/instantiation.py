@@ -42,6 +42,9 @@ def instantiate_function(key: str, arguments: dict[str, Any]) -> Callable[..., A
             instance: Callable[..., Any] = part()
             return instance
         inspect.signature(part.func).bind(None, None, **part.keywords)
-    except TypeError as error:
+    except (
+        TypeError,
+        ValueError,
+    ) as error:  # no signature: a function that is not written in Python, which can be wrapped
         raise CophyError(f"{key}: {error}; see {arguments['_target_']}") from error
     return partial(part.func, **part.keywords)  # Hydra's own partial checks every call

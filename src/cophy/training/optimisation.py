@@ -23,7 +23,7 @@ def make_optimizer(module: L.LightningModule, training: Training) -> OptimizerLR
     """
     try:
         optimizer = instantiate(training.optimizer)(module.parameters())
-        schedule = instantiate(training.schedule)(optimizer, max(module.trainer.max_epochs or 1, 1))
+        schedule = instantiate(training.schedule)(optimizer, module.trainer.max_epochs)
     except (InstantiationException, TypeError, ValueError) as error:
         hint = "; their YAML has _partial_: true" if "missing" in str(error) else ""
         raise CophyError(f"training.optimizer or training.schedule: {error.__cause__ or error}{hint}") from error
@@ -42,7 +42,11 @@ class Annealing(LambdaLR):
 
 def cosine_to_zero(optimizer: Optimizer, epochs: int) -> LambdaLR:
     """Let the learning rate fall to zero along a cosine."""
-    return Annealing(optimizer, lambda epoch: (1 + math.cos(math.pi * min(epoch / epochs, 1))) / 2)
+    if epochs < 0:
+        raise ValueError(
+            f"trainer.max_epochs={epochs} has no last epoch, where the rate is zero: add schedule=constant"
+        )
+    return Annealing(optimizer, lambda epoch: (1 + math.cos(math.pi * min(epoch / max(epochs, 1), 1))) / 2)
 
 
 def constant(optimizer: Optimizer, epochs: int) -> LambdaLR:

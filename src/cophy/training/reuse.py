@@ -36,7 +36,7 @@ FINISHED, BEGUN = "finished.json", "begun.json"
 STOPPED = "last_of_stopped.ckpt"
 NOTES: dict[str, dict[str, Any]] = {  # the types of what they hold
     FINISHED: {
-        "fingerprint": str,
+        **dict.fromkeys(("fingerprint", "code"), str),
         **dict.fromkeys(("training_seconds", "training_cpu_seconds"), int | float),
         **{"validation": dict, "resumed": int},
     },
@@ -140,7 +140,7 @@ def fingerprint(
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, code: str | None = None) -> Start:
+def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, code: str) -> Start:
     """Find a finished or interrupted training with this fingerprint; otherwise make room for a new one.
 
     Args:
@@ -159,20 +159,16 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, cod
             "the results in %s come from %s: the model is trained again", run.directory, _difference(finished, code)
         )
     last, stopped = run.checkpoints / "last.ckpt", _read(run.checkpoints, BEGUN)
-    if reuse and stopped.get("fingerprint") == wanted and _is_complete(run.checkpoints):
+    if reuse and stopped.get("fingerprint") == wanted and last.is_file():
         log.info("continues where it stopped: %s (reuse=false trains again)", last)
         resumed = stopped["resumed"] + 1
         _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
         return Start(None, last, resumed + (ckpt is not None), keeps_curves=True)
-    best = read_file(ckpt.with_name("best.ckpt")) if ckpt and ckpt.with_name("best.ckpt").is_file() else None
+    best = None  # that of the same training
+    if ckpt is not None and ckpt.name == last.name and ckpt.with_name("best.ckpt").is_file():
+        best = read_file(ckpt.with_name("best.ckpt"))
     is_last = ckpt is not None and last.exists() and ckpt.samefile(last)
-    if last.exists() and (stopped or is_last):
-        log.warning(
-            "%s belongs to a training with other settings or code, or a shorter one: it is renamed to %s",
-            *(last, last.with_name(STOPPED)),
-        )
-        os.replace(last, last.with_name(STOPPED))
-    _remove_checkpoints(run)
+    _clear(run, keeps_last=bool(stopped) or is_last)
     if best is not None:  # the best epoch so far may remain the best
         run.checkpoints.mkdir(parents=True, exist_ok=True)
         write_atomically(run.checkpoints / "best.ckpt", best)
@@ -200,11 +196,9 @@ def _find_finished(run: Run, wanted: str) -> Path | None:
     return None
 
 
-def _difference(finished: dict[str, Any], code: str | None) -> str:
+def _difference(finished: dict[str, Any], code: str) -> str:
     """Return in words what differs from a finished training."""
-    if (stored := finished.get("code")) is None or code is None:  # earlier versions did not store it
-        return "other code, data or settings"
-    if stored != code:
+    if finished["code"] != code:
         return "other code (of cophy, or .py files beside your model or loss)"
     return "other data or settings, or another version of torch"
 
@@ -212,15 +206,24 @@ def _difference(finished: dict[str, Any], code: str | None) -> str:
 def _adopt(checkpoints: Path, run: Run) -> dict[str, Any]:
     """Copy finished checkpoints into the run and return the facts about their training."""
     if checkpoints.resolve() != run.checkpoints.resolve():
-        _remove_checkpoints(run)
+        _clear(run, keeps_last=(run.checkpoints / BEGUN).exists())
         run.checkpoints.mkdir(parents=True, exist_ok=True)
-        for name in (*PAIR, FINISHED):
+        for name in PAIR:
             shutil.copyfile(checkpoints / name, run.checkpoints / name)
+        write_atomically(run.checkpoints / FINISHED, (checkpoints / FINISHED).read_bytes())
     facts = _read(run.checkpoints, FINISHED)
     return {key: facts[key] for key in ("training_seconds", "training_cpu_seconds", "resumed", "validation")}
 
 
-def _remove_checkpoints(run: Run) -> None:
+def _clear(run: Run, *, keeps_last: bool) -> None:
+    """Remove the checkpoints of an earlier training; the last one of an interrupted training is renamed."""
+    last = run.checkpoints / "last.ckpt"
+    if keeps_last and last.exists():
+        log.warning(
+            "%s belongs to a training with other settings or code, or a shorter one: it is renamed to %s",
+            *(last, last.with_name(STOPPED)),
+        )
+        os.replace(last, last.with_name(STOPPED))
     for name in (FINISHED, BEGUN, *PAIR):
         (run.checkpoints / name).unlink(missing_ok=True)
 
@@ -243,8 +246,6 @@ def _read(checkpoints: Path, name: str) -> dict[str, Any]:
         return {}
     except ValueError as error:
         raise CophyError(f"{path} is damaged ({error}): delete it to train again") from error
-    if name == FINISHED:  # earlier versions did not write it
-        content.setdefault("training_cpu_seconds", 0.0)
     if wrong := [key for key, kind in NOTES[name].items() if not isinstance(content.get(key), kind)]:
         raise CophyError(f"{path} has no valid {', '.join(wrong)}: delete it to train again")
     return content

@@ -195,7 +195,6 @@ class Run:
             return
         except ValueError as error:
             raise CophyError(f"{path} is damaged ({error}): delete it and run the command again") from error
-        content = {"variant": "", **content}  # earlier versions did not write it
         if others := [f"{key}={content.get(key)}" for key, name in self.names().items() if content.get(key) != name]:
             raise CophyError(
                 f"{path} belongs to another run ({', '.join(others)}): choose another hydra.run.dir or delete it"

@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -40,6 +41,8 @@ from cophy.types import Inputs
 
 DERENDERER = f"{Derenderer.__module__}.{Derenderer.__name__}"
 FRAMES_PER_BATCH = 32
+
+log = logging.getLogger(__name__)
 
 SchemaT = TypeVar("SchemaT")
 
@@ -128,7 +131,6 @@ class TrainedDerenderer:
 
     def _loaded(self) -> Derenderer:
         if self._network is None:
-            torch.set_num_threads(1)  # several processes work in parallel
             content = read_file(self.source)
             if _name(content) != self.name:
                 raise CophyError(f"{self.source} was replaced while it was used: run again")
@@ -147,7 +149,14 @@ def find_derenderer(outputs: Path, scenario: str, num_objects: set[int], split: 
         CophyError: There is none, or more than one is left.
     """
     runs = sorted(outputs.glob(f"{scenario}/*/derenderer*/*/*/seed*/metrics.json"))
-    by_name = {d.name: d for d in (TrainedDerenderer(path.parent / "checkpoints" / "best.ckpt") for path in runs)}
+    by_name: dict[str, TrainedDerenderer] = {}
+    for path in (run.parent / "checkpoints" / "best.ckpt" for run in runs):
+        try:
+            derenderer = TrainedDerenderer(path)
+        except CophyError as error:  # deleted, or of an earlier version
+            log.warning("a de-renderer is left out: %s", error)
+        else:
+            by_name[derenderer.name] = derenderer
     suitable = [derenderer for derenderer in by_name.values() if num_objects <= derenderer.num_objects]
     suitable = [derenderer for derenderer in suitable if derenderer.split == split] or suitable
     suitable = [derenderer for derenderer in suitable if derenderer.num_objects == num_objects] or suitable
