@@ -201,9 +201,10 @@ def row_jobs(size: str) -> Iterator[Job]:
 
 
 def derenderer_jobs(size: str) -> Iterator[Job]:
-    """The networks that estimate positions from images, one per scenario without a published one."""
+    """The networks that estimate positions from images, one per scenario where the published one has not seen all numbers of objects."""
+    places = {(scenario, split) for scenario, split, *_ in table_rows(size, estimated=True)}
     for scenario, (split, changes) in DERENDERERS.items():
-        if not published(scenario, split, DERENDERER, size):
+        if not all(published(*place, DERENDERER, size) for place in places if place[0] == scenario):
             yield replace(run_job(scenario, split, DERENDERER, size, changes=changes), hours=DERENDERER_HOURS)
 
 
@@ -218,13 +219,24 @@ def estimated_jobs(size: str) -> Iterator[Job]:
 
 @cache
 def published(scenario: str, split: str, row: str, size: str) -> str | None:
-    """Return the published weights of a method with the training data of this split, of any for a de-renderer."""
+    """Return the published weights of a method with the training data of this split, or of a de-renderer that has seen its objects."""
     for file in pd.read_csv(CHECKPOINTS / "index.csv").itertuples() if size == "small" else ():
-        if (file.scenario, file.method) == (scenario, row) and (
-            row == DERENDERER or training_of(scenario, file.split, size) == training_of(scenario, split, size)
-        ):
+        if (file.scenario, file.method) != (scenario, row):
+            continue
+        if row == DERENDERER:
+            fits = {*counts_of(scenario, split)} <= {*counts_of(scenario, file.split)}
+        else:
+            fits = training_of(scenario, file.split, size) == training_of(scenario, split, size)
+        if fits:
             return f"{CHECKPOINTS.name}/{file.file}"
     return None
+
+
+@cache
+def counts_of(scenario: str, split: str) -> list[int]:
+    """Return the numbers of objects in the datasets of a split."""
+    counts: list[int] = settings("generate", f"scenario={scenario}", f"split={split}").split.counts()
+    return counts
 
 
 @cache

@@ -72,10 +72,6 @@ class TrainerConfig:
                 raise ValueError(f"trainer.{key}=0: at least one batch is needed")
         if self.max_epochs == 0 or self.max_epochs < -1:
             raise ValueError(f"trainer.max_epochs={self.max_epochs} must be positive, or -1 for no limit")
-        if self.precision in ("16", "16-mixed"):  # see `cophy.models.rollout.limit_gradient`
-            raise ValueError(
-                f"trainer.precision={self.precision} scales losses, which the limit of gradients in rollouts undoes: use bf16-mixed"
-            )
         _check_range("trainer.check_val_every_n_epoch", self.check_val_every_n_epoch, 1)
         _check_range("trainer.log_every_n_steps", self.log_every_n_steps, 1)
 
@@ -295,7 +291,7 @@ class ScoreConfig(DataConfig):
         if (self.predictions is None) == (self.template is None):
             raise ValueError("give predictions=, a file to score, or template=, a file to write with all ids")
         if self.num_objects is not None:
-            raise ValueError("num_objects= of the test split is set by split=")
+            raise ValueError("num_objects=: leave it out; split= sets the number of objects")
         if self.name is not None:
             check_name("name", self.name)
 
@@ -339,7 +335,18 @@ class ReportConfig:
 def _check_paths(config: Any) -> None:
     """Expand `~`, which shells leave alone inside of quotes."""
     folders = ("data_dir", "directory", "outputs", "root")
-    files = ("ckpt", "predictor", "derenderer", "predictions", "template", "observed", "initial", "truth", "background")
+    files = (
+        "ckpt",
+        "predictor",
+        "derenderer",
+        "predictions",
+        "template",
+        "observed",
+        "initial",
+        "truth",
+        "background",
+        "welcome",
+    )
     for key in (*folders, *files):
         if (path := getattr(config, key, None)) == "":
             raise ValueError(f"{key}= is empty: it names a {'folder' if key in folders else 'file'}")

@@ -160,13 +160,13 @@ MISTAKES = {
     "scenario=blocktower confounders=released": "confounders= does not go with this scenario, which has one grid; it goes with balls and collision",
     "scenario=balls confounders=relesed": "confounders=relesed does not exist (did you mean released?); there are released, text",
     "num_objects=5": "num_objects=5 must be a list: 'num_objects=[5]'",
-    "scenario.num_objects=[]": "scenario.num_objects=[] must be numbers from 2",
-    "scenario=balls scenario.num_objects=[1,2]": "scenario.num_objects=[1, 2] must be numbers from 2",
-    "scenario.num_objects=[2,3]": "scenario.num_objects=[2, 3]: remove_top in scenario.do_operations leaves no tower",
+    "scenario.num_objects=[]": "scenario.num_objects=[] must be numbers from 1",
+    "scenario=balls scenario.num_objects=[1,2]": "scenario.num_objects=[1, 2]: an experiment needs at least 2 balls",
+    "scenario.num_objects=[2,3]": "scenario.num_objects=[2, 3]: one block is no tower, and remove_top in scenario.do_operations leaves no tower",
     "scenario=collision scenario.num_objects=[2,3]": "scenario.num_objects=[2, 3] must be [2]: one object hits the other",
     "scenario=balls scenario.arena_half_width=0.4": "scenario.arena_half_width=0.4 m leaves no place for a ball of 1 m",
     "scenario.camera.eye=[0,0,10] scenario.camera.target=[0,0,0]": "eye and target must be two points, x, y and z each, and not one above",
-    "trainer.precision=16-mixed": "trainer.precision=16-mixed scales losses, which the limit of gradients in rollouts undoes",
+    "model=alongside trainer.precision=16-mixed": "trainer.precision=16-mixed: model=alongside needs unscaled losses, use bf16-mixed",
     "scenario.num_objects=[3,4,5]": "blocktower has 4 colours, and every object of an experiment needs its own: add '+scenario.colors.NAME=",
     "metrics.height=1 +metrics.x._target_=x": "Key 'height' is not in struct",
     "+metrics.height=1": "metrics.height is no block with a _target_: its YAML starts with the line '# @package metrics.<name>'",
@@ -253,7 +253,7 @@ MISTAKES = {
 # found only when a run starts, because constructors and Lightning refuse them
 IN_A_RUN = re.compile(
     r".*(_target_|ckpt|predictor|logger|width=1|derenderer loss|hidden_dim=0|gru_layers|npe model|interaction=mlp|max_epoch=3 |trainer.max_epoch=|schedule"
-    r"|supervised|hydra\.|.*~trainer|accumulate|split=3to4|friction|positions=.* model)"
+    r"|supervised|precision|hydra\.|.*~trainer|accumulate|split=3to4|friction|positions=.* model)"
 )
 COMPOSED = [mistake for mistake in MISTAKES if not IN_A_RUN.match(mistake)]
 SLOW = re.compile(

@@ -235,6 +235,13 @@ def test_a_constant_is_not_scaled_up_by_its_rounding(value: float) -> None:
     assert other.abs().max() < 10
 
 
+def test_a_vector_with_one_constant_component_has_one_scale() -> None:
+    features, presence = torch.zeros(101, 2, len(CONFOUNDERS)), torch.ones(101, 2, dtype=torch.bool)
+    features[..., HORIZONTAL[0][1]] = torch.linspace(-1, 1, 101)[:, None]
+    _, deviation = confounder_statistics(features, presence)
+    assert deviation[HORIZONTAL[0][0]] == deviation[HORIZONTAL[0][1]] < 1
+
+
 @pytest.mark.parametrize(
     ("model", "declared"),
     [

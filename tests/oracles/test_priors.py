@@ -10,7 +10,7 @@ from cophy.dataset.states import States, build_scene, do_operation_of
 from cophy.errors import CophyError
 from cophy.oracles.posterior import posterior, resample
 from cophy.oracles.priors import configuration_prior, velocity_inference
-from cophy.scenario import Blocktower, Body, Scenario, Scene, Shape, Simulator
+from cophy.scenario import Balls, Blocktower, Body, Scenario, Scene, Shape, Simulator
 from cophy.scenario.experiment import Displace
 from cophy.scenario.physics import make_floor
 from cophy.scenario.statics import Combinations
@@ -98,6 +98,21 @@ def test_the_truth_fits_and_other_confounders_are_fitted_to_the_second_frame(
     found = scenario.simulate(simulator, fitted).positions[stride]
     np.testing.assert_allclose(found[1, :2], frames[1, 1, :2], atol=0.005)
     np.testing.assert_allclose(found[0, :2], frames[1, 0, :2], atol=0.05)  # a wall between
+
+
+class Marbles(Balls):
+    """A scenario of a user."""
+
+
+def test_a_scenario_of_the_user_that_is_found_by_simulation_has_a_prior(scenario_of: Callable[..., Scenario]) -> None:
+    own = object.__new__(Marbles)
+    vars(own).update(vars(scenario_of("balls")), name="marbles")
+    scene = own.sample_scene(0, (0, 1), np.random.default_rng(0))
+    prior = configuration_prior(own, scene, Displace("displace", 0, (0.1, 0.0, 0.0)))
+    np.testing.assert_allclose(prior, 1 / own.confounders.num_configurations(2))
+    drawn = own.sample_velocities(scene, np.random.default_rng(1))
+    assert drawn.shape == (2, 2)
+    assert own.speed[0] <= np.linalg.norm(drawn, axis=1).min() <= np.linalg.norm(drawn, axis=1).max() <= own.speed[1]
 
 
 class Pendulums(Scenario):

@@ -231,14 +231,24 @@ def test_a_finished_training_that_is_used_again_removes_no_interrupted_one(run: 
     assert (run.checkpoints / "last_of_stopped.ckpt").read_text() == "interrupted"
 
 
-@pytest.mark.parametrize(("name", "best"), [("last.ckpt", "weights"), ("last_of_stopped.ckpt", None)])
-def test_only_the_last_checkpoint_has_the_best_of_its_training(name: str, best: str | None, run: Run) -> None:
-    leave_checkpoints(run)
-    ckpt = run.checkpoints / name
-    ckpt.write_text("weights")
-    start_training(run, "another", reuse=True, ckpt=ckpt, code="new")
-    path = run.checkpoints / "best.ckpt"
-    assert (path.read_text() if path.exists() else None) == best
+@pytest.mark.parametrize("name", ["last.ckpt", "last_of_stopped.ckpt", "mine.ckpt"])
+def test_a_checkpoint_continues_with_the_best_of_its_own_training(name: str, run: Run) -> None:
+    leave_checkpoints(run, "weights")
+    start_training(run, "one", reuse=True, ckpt=None, code="new")  # removes them
+    leave_checkpoints(run, "interrupted")
+    start_training(run, "another", reuse=True, ckpt=None, code="new")  # renames them
+    leave_checkpoints(run, "of another")
+    (run.checkpoints / "mine.ckpt").write_text("of another")
+    start_training(run, "third", reuse=True, ckpt=run.checkpoints / name, code="new")
+    expected = "interrupted" if name == "last_of_stopped.ckpt" else "of another"
+    assert (run.checkpoints / "best.ckpt").read_text() == expected
+
+
+def test_a_damaged_note_of_another_run_stops_nothing(run: Run, tmp_path: Path) -> None:
+    other = make_run(tmp_path, "4to3")
+    leave_checkpoints(other)
+    (other.checkpoints / "finished.json").write_text("{")
+    assert start_training(run, "same", reuse=True, ckpt=None, code="new").checkpoint is None
 
 
 def test_a_damaged_note_is_named_and_its_checkpoints_are_kept(run: Run) -> None:

@@ -107,7 +107,8 @@ def check_identifiability(arrays: Arrays, spec: DatasetSpec, num_pairs: int) -> 
 
     An experiment is identified if every configuration whose AB looks like the true one gives the true CD: its trajectory is
     within `min_difference`. For towers, the configurations must also agree on whether CD stands. Where there are too many
-    configurations, those that differ from the true one in a single value are tried, and there is no limit.
+    configurations, those that differ from the true one in a single value are tried, and there is no limit; nor is there one for
+    scenarios of users.
     """
     enumerated = spec.scenario.confounders.num_configurations(spec.num_objects) <= MAX_CONFIGURATIONS
     with Simulator() as simulator:

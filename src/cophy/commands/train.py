@@ -114,6 +114,10 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     data = make_datamodule(config, plain["model"], run, network)
     origin = make_origin(plain, data.trained_on)
     check_checkpoints(config, origin, network, run.model)
+    if config.trainer.precision in ("16", "16-mixed") and getattr(network, "limits_gradients", False):
+        raise CophyError(
+            f"trainer.precision={config.trainer.precision}: model={run.model} needs unscaled losses, use bf16-mixed"
+        )
     arguments = plain["trainer"] | {"max_epochs": num_epochs(config, network)}
     figures = module.make_figures(config.figures_every_n_epochs)
     trainer = make_trainer(run, origin, figures, loggers=config.logger, arguments=arguments)

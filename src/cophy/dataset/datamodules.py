@@ -2,7 +2,8 @@
 
 `CounterfactualDataModule` generates missing data and holds all splits in memory; its batches are slices. The order of training
 batches depends on seed and epoch alone, so a resumed training sees the same batches as an uninterrupted one. A batch is divided
-among devices: its size is that of a whole optimiser step (in validation and test, that of a device). `ExperimentDataset` is what `cophy.load` returns.
+among devices: its size is that of a whole optimiser step (in validation and test, that of a device). `ExperimentDataset` is what
+`cophy.load` returns.
 """
 
 from collections.abc import Sequence

@@ -85,6 +85,8 @@ def confounder_statistics(
     for columns in HORIZONTAL:
         mean[columns], deviation[columns] = 0.0, values[:, columns].square().mean().sqrt()
     is_constant = values.amin(dim=0) == values.amax(dim=0)  # rounding gives most constants a deviation above 0
+    for columns in HORIZONTAL:
+        is_constant[columns] = is_constant[columns].all()
     return mean, torch.where(is_constant | (deviation == 0), 1.0, deviation)
 
 

@@ -75,7 +75,7 @@ def _complete(shards: ShardSet, wanted: Sequence[int], workers: int, files: File
     if missing := _missing(shards, wanted):
         for shard, damage in missing.items():
             if damage is not None:
-                log.warning("%s is damaged (%s): generating it again", shards.path(shard), damage)
+                log.warning("%s is damaged (%s): it is made again", shards.path(shard), damage)
         if files is None:
             _generate(list(missing), shards, workers)
         else:

@@ -157,7 +157,13 @@ class PairMemory(nn.Module):
 
 
 class Alongside(nn.Module):
-    """Rolls D out alongside AB, object by object and frame by frame, with any number of objects in any order."""
+    """Rolls D out alongside AB, object by object and frame by frame, with any number of objects in any order.
+
+    Attributes:
+        limits_gradients: Whether it uses `limit_gradient`, which scaled losses (precision 16-mixed) undo.
+    """
+
+    limits_gradients = True
 
     def __init__(
         self,

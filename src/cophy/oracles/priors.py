@@ -1,4 +1,4 @@
-"""Prior of the oracles: confounders given A, C and the do-operation; initial velocities, drawn or inferred from AB.
+"""Prior of the oracles: confounders given A, C and the do-operation; initial velocities inferred from AB.
 
 The prior of towers is the conditional distribution of the search, with its cells and twins; all frictions have the same
 probability. The search first draws a cell and both twins' configurations, and then geometries until one fits. A geometry can
@@ -26,9 +26,9 @@ from cophy.scenario.towers import TOWER_CELLS, TowerCell, Towers, is_identifiabl
 
 def unknown_scenario(scenario: Scenario) -> CophyError:
     """Return the error for a scenario that the oracles do not know."""
-    name = type(scenario).__name__
     return CophyError(
-        f"the oracles do not know scenario={scenario.name}: leave out model=oracle_*, or add {name} to cophy/oracles/priors.py"
+        f"the oracles do not know scenario={scenario.name}: leave out model=oracle_*, or derive {type(scenario).__name__} from "
+        "SimulatedSearch"
     )
 
 

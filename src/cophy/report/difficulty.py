@@ -78,8 +78,8 @@ def mse_by_difficulty(
             low, high = interval(group_scores.mse, group_scores.cluster)
             counts = {"experiments": int(rows.sum()), "seeds": len(seeds)}
             numbers = {"mse": mean(group_scores.mse), "low": low, "high": high}
-            if by in WHOLE_PAIRS:
-                explained = group_scores.values["twin_difference_explained"]
+            explained = group_scores.values.get("twin_difference_explained")
+            if by in WHOLE_PAIRS and explained is not None:
                 ends = interval(explained, group_scores.cluster)
                 numbers |= {"explained": mean(explained), "explained_low": ends[0], "explained_high": ends[1]}
             lines.append({**section, "by": by, "group": group, **counts, **numbers})

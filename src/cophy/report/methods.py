@@ -59,7 +59,8 @@ def method_cells(runs: pd.DataFrame) -> pd.DataFrame:
     """
     lines, cell_of = list[dict[str, Any]](), dict[Any, int]()
     # an MSE of de-renderers is that of positions in single frames
-    runs = runs.assign(data=runs["data"].mask(runs["model"].str.startswith("derenderer"), "single frames"))
+    of_frames = ("single frames, " + runs["data"]).str.removesuffix(", ")
+    runs = runs.assign(data=runs["data"].mask(runs["model"].str.startswith("derenderer"), of_frames))
     for _, of_table in runs.groupby(TABLE):
         shared = shared_changes(of_table)
         for (column, *_), of_cell in of_table.groupby([np.array(_columns(of_table)), *METHOD]):

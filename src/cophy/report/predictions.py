@@ -75,7 +75,12 @@ def _read(run: dict[Any, Any]) -> StoredPredictions | None:
         log.warning("%s is skipped: %s", run["directory"], error)
         return None
     errors = error_over_time(arrays["position"], arrays["target"], arrays["presence"], dims=dims)
-    variance, degrees = variance_of_mean(errors, scores.cluster)
-    quantile = student_t.ppf(0.975, degrees) if degrees >= MIN_CLUSTERS - 1 else np.nan
     examples = {name: array[:NUM_EXAMPLES].copy() for name, array in arrays.items()}
-    return StoredPredictions(scores, errors.mean(axis=0), quantile * np.sqrt(variance), examples)
+    return StoredPredictions(scores, errors.mean(axis=0), interval_half_width(errors, scores.cluster), examples)
+
+
+def interval_half_width(errors: np.ndarray, clusters: np.ndarray) -> np.ndarray:
+    """Return (T-1,) half of the 95 % interval of the mean of (experiment, T-1) errors, over clusters; NaN for fewer than MIN_CLUSTERS."""
+    variance, degrees = variance_of_mean(errors, clusters)
+    quantile = student_t.ppf(0.975, degrees) if degrees >= MIN_CLUSTERS - 1 else np.nan
+    return np.asarray(quantile * np.sqrt(variance))

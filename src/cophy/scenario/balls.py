@@ -24,6 +24,8 @@ class Balls(SimulatedSearch):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if min(self.num_objects) < 2:
+            raise ValueError(f"scenario.num_objects={list(self.num_objects)}: an experiment needs at least 2 balls")
         if self._reach < 0:
             raise ValueError(
                 f"scenario.arena_half_width={self.arena_half_width:g} m leaves no place for a ball of {self.ball_diameter:g} m "

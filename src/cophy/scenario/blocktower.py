@@ -67,9 +67,9 @@ class Blocktower(Scenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if "remove_top" in self.do_operations and min(self.num_objects) < 3:
+        if min(self.num_objects) < 2 or ("remove_top" in self.do_operations and min(self.num_objects) < 3):
             raise ValueError(
-                f"scenario.num_objects={list(self.num_objects)}: remove_top in scenario.do_operations leaves no tower of two "
+                f"scenario.num_objects={list(self.num_objects)}: one block is no tower, and remove_top in scenario.do_operations leaves no tower of two "
                 "blocks standing or falling; take it out, or have at least 3 objects"
             )
 

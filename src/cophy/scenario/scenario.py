@@ -72,8 +72,8 @@ class Scenario(ABC):
             values = list(getattr(self, key))
             if len(values) != 2 or values != sorted(values):
                 raise ValueError(f"scenario.{key}={values} must be two numbers, the smallest and the largest")
-        if min(self.num_objects, default=0) < 2:
-            raise ValueError(f"scenario.num_objects={list(self.num_objects)} must be numbers from 2")
+        if min(self.num_objects, default=0) < 1:
+            raise ValueError(f"scenario.num_objects={list(self.num_objects)} must be numbers from 1")
         if max(self.num_objects) > self.num_slots:
             raise ValueError(
                 f"scenario.num_objects={list(self.num_objects)}: {self.name} has {self.num_slots} colours, and every object "

@@ -42,9 +42,10 @@ def instantiate_function(key: str, arguments: dict[str, Any]) -> Callable[..., A
             instance: Callable[..., Any] = part()
             return instance
         inspect.signature(part.func).bind(None, None, **part.keywords)
-    except (
-        TypeError,
-        ValueError,
-    ) as error:  # no signature: a function that is not written in Python, which can be wrapped
+    except TypeError as error:
         raise CophyError(f"{key}: {error}; see {arguments['_target_']}") from error
+    except ValueError as error:
+        if isinstance(part.func, type):
+            raise
+        raise CophyError(f"{key}: {error}; wrap {arguments['_target_']} in a Python function") from error
     return partial(part.func, **part.keywords)  # Hydra's own partial checks every call

@@ -19,7 +19,7 @@ def make_optimizer(module: L.LightningModule, training: Training) -> OptimizerLR
 
     Args:
         module: Attached to a Trainer; its `max_epochs` is an argument of the schedule.
-        training: `optimizer` is called with the parameters, `schedule` with the optimiser and the number of epochs.
+        training: `optimizer` is called with the parameters, `schedule` with the optimiser and the number of epochs (-1: no limit).
     """
     try:
         optimizer = instantiate(training.optimizer)(module.parameters())

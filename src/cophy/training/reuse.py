@@ -33,7 +33,7 @@ PACKAGE = Path(cophy.__file__).parent
 MODELS = PACKAGE / "models"
 CODE = ("scenario", "dataset", "training")  # the subpackages that weights depend on as a whole
 FINISHED, BEGUN = "finished.json", "begun.json"
-STOPPED = "last_of_stopped.ckpt"
+STOPPED = {"last.ckpt": "last_of_stopped.ckpt", "best.ckpt": "best_of_stopped.ckpt"}  # of an interrupted training
 NOTES: dict[str, dict[str, Any]] = {  # the types of what they hold
     FINISHED: {
         **dict.fromkeys(("fingerprint", "code"), str),
@@ -164,16 +164,16 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, cod
         resumed = stopped["resumed"] + 1
         _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
         return Start(None, last, resumed + (ckpt is not None), keeps_curves=True)
-    best = None  # that of the same training
-    if ckpt is not None and ckpt.name == last.name and ckpt.with_name("best.ckpt").is_file():
-        best = read_file(ckpt.with_name("best.ckpt"))
+    best, name_of_best = None, STOPPED["best.ckpt"] if ckpt and ckpt.name == STOPPED["last.ckpt"] else "best.ckpt"
+    if ckpt is not None and ckpt.with_name(name_of_best).is_file():
+        best = read_file(ckpt.with_name(name_of_best))
     is_last = ckpt is not None and last.exists() and ckpt.samefile(last)
     _clear(run, keeps_last=bool(stopped) or is_last)
     if best is not None:  # the best epoch so far may remain the best
         run.checkpoints.mkdir(parents=True, exist_ok=True)
         write_atomically(run.checkpoints / "best.ckpt", best)
     _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": 0})
-    resumed_from = last.with_name(STOPPED) if is_last else ckpt
+    resumed_from = last.with_name(STOPPED[last.name]) if is_last else ckpt
     return Start(None, resumed_from, int(ckpt is not None), keeps_curves=ckpt is not None)
 
 
@@ -187,11 +187,18 @@ def _find_finished(run: Run, wanted: str) -> Path | None:
     """Return checkpoints of a finished training with this fingerprint: the run's own, or those of a run with another test."""
     directories = [run.directory]
     if run.root is not None:
-        directories += sorted(
-            run.root.glob(str(Path(run.scenario, "*", run.model, run.ablation, "*", f"seed{run.seed}*")))
-        )
+        place = Path(run.scenario, "*", run.model, run.ablation, "*")
+        for name in (f"seed{run.seed}", f"seed{run.seed}+*"):
+            directories += sorted(run.root.glob(str(place / name)))
     for checkpoints in (directory / "checkpoints" for directory in directories):
-        if _read(checkpoints, FINISHED).get("fingerprint") == wanted and _is_complete(checkpoints):
+        try:
+            is_wanted = _read(checkpoints, FINISHED).get("fingerprint") == wanted
+        except CophyError as error:
+            if checkpoints == run.checkpoints:
+                raise
+            log.warning("a training is left out: %s", error)
+            continue
+        if is_wanted and _is_complete(checkpoints):
             return checkpoints
     return None
 
@@ -216,14 +223,17 @@ def _adopt(checkpoints: Path, run: Run) -> dict[str, Any]:
 
 
 def _clear(run: Run, *, keeps_last: bool) -> None:
-    """Remove the checkpoints of an earlier training; the last one of an interrupted training is renamed."""
+    """Remove the checkpoints of an earlier training; those of an interrupted training are renamed."""
     last = run.checkpoints / "last.ckpt"
     if keeps_last and last.exists():
         log.warning(
             "%s belongs to a training with other settings or code, or a shorter one: it is renamed to %s",
-            *(last, last.with_name(STOPPED)),
+            *(last, last.with_name(STOPPED[last.name])),
         )
-        os.replace(last, last.with_name(STOPPED))
+        for name, kept in STOPPED.items():
+            (run.checkpoints / kept).unlink(missing_ok=True)
+            if (run.checkpoints / name).exists():
+                os.replace(run.checkpoints / name, run.checkpoints / kept)
     for name in (FINISHED, BEGUN, *PAIR):
         (run.checkpoints / name).unlink(missing_ok=True)
 

@@ -112,6 +112,8 @@ def make_trainer(
     cores = os.cpu_count() or 1
     if isinstance(trainer.accelerator, CPUAccelerator) and trainer.num_devices > MAX_PROCESSES_PER_CORE * cores:
         raise CophyError(f"trainer.devices={trainer.num_devices} starts as many processes, but there are {cores} cores")
+    if trainer.world_size > 1 and arguments.get("limit_test_batches") is not None:
+        raise CophyError("trainer.limit_test_batches= needs trainer.devices=1: each device has other experiments")
     return trainer
 
 
