@@ -41,7 +41,7 @@ from result_runs import (
 
 from cophy.dataset.images import RENDERING
 from cophy.dataset.states import COST
-from cophy.report.paper_tables import ESTIMATED_IN_TESTING, TRUE_POSITIONS, PaperTable, methods, paper_tables
+from cophy.report.paper_tables import ESTIMATED_IN_TESTING, PaperTable, methods, paper_tables
 
 BLOCK = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end of generated: \1 -->", re.DOTALL)
 NOTHING = "–"
@@ -360,20 +360,23 @@ def alongside_parts(results: Results) -> str:
 
 
 def estimated(results: Results) -> str:
-    """MSE on true and on estimated positions."""
+    """MSE on estimated positions and, in brackets, on true ones: columns of the paper's tables × methods."""
+    places = [(scenario, split) for scenario in SCENARIOS for split in columns(scenario)]
+    cells = {
+        (place, method): results.cell("mse", *place, method, positions=ESTIMATED_IN_TESTING)
+        for place, method in product(places, (*COMPETING, "in_sup"))
+    }
+    methods = dict.fromkeys(method for (_, method), cell in cells.items() if cell)
     rows = []
-    for method in (*COMPETING, "in_sup"):
-        cells = [
-            results.cell("mse", *column, method, positions=positions)
-            for column in CURVES.items()
-            for positions in (TRUE_POSITIONS, ESTIMATED_IN_TESTING)
+    for place in dict.fromkeys(place for (place, _), cell in cells.items() if cell):
+        texts = [
+            f"{cell.short()} ({results.cell('mse', *place, method).number()})"
+            if (cell := cells[place, method])
+            else NOTHING
+            for method in methods
         ]
-        if any(cells[1::2]):
-            rows.append([title(method), *(cell.short() if cell else NOTHING for cell in cells)])
-    names = [f"{SCENARIOS[name]} {columns(name)[split]}" for name, split in CURVES.items()]
-    return markdown(
-        ["MSE, m²", *(f"{name}, {positions}" for name in names for positions in ("true", "estimated"))], rows
-    )
+        rows.append([f"{SCENARIOS[place[0]]} {columns(place[0])[place[1]]}", *texts])
+    return markdown(["MSE, m²", *map(title, methods)], rows)
 
 
 if __name__ == "__main__":

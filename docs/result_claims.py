@@ -29,7 +29,7 @@ def compared(
 
     Args:
         results: The runs.
-        method, than: What is compared with what.
+        method, than: What is compared with what; names of a run may follow a method, as `cophynet positions=derendered`.
         columns: `scenario split`, or a scenario for all of its columns; all of Tables 2 to 4 by default.
         measure: Column of the table of runs.
         names: Further names of both runs.
@@ -42,7 +42,7 @@ def compared(
     pairs = [(place, other) for place in places for other in than]
     sides = [side(results, measure, method, other, place, names) for place, other in pairs]
     facts = {"counts": counted(sides), "verdict": verdict(sides)}
-    printed = [(published(*place, method), published(*place, other)) for place, other in pairs]
+    printed = [(published(*place, method), published(*place, other.split()[0])) for place, other in pairs]
     if measure == "mse" and all(None not in numbers for numbers in printed):
         facts["paper"] = counted([1 if one < two else -1 for one, two in printed])
     return facts
@@ -53,7 +53,9 @@ def side(results: Results, measure: str, method: str, other: str, place: list[st
 
     An uncertainty is the distance from the mean to the farthest end of the seeds' intervals. The comparison is unpaired.
     """
-    one, two = (results.cell(measure, *place, name, **names) for name in (method, other))
+    name, *changes = other.split()
+    one = results.cell(measure, *place, method, **names)
+    two = results.cell(measure, *place, name, **names | dict(change.split("=", 1) for change in changes))
     if one is None or two is None:
         raise SystemExit(f"claims.yaml: no {measure} of {method} or {other} on {' '.join(place)}")
     lead = (one.value - two.value) * (1 if measure in PERCENT else -1)

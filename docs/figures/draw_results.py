@@ -15,10 +15,8 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
-from scipy.stats import bootstrap
 
 import cophy
-from cophy.bootstrap import NUM_RESAMPLES
 from cophy.config import generated_by, settings
 from cophy.dataset.datamodules import ExperimentDataset
 from cophy.dataset.difficulty import twin_differences
@@ -27,6 +25,7 @@ from cophy.dataset.states import clusters_of, sort_by_twins
 from cophy.drawing.overview import NO_BREAK, Descriptions
 from cophy.drawing.plots import error_over_time
 from cophy.drawing.sheets import REACH, CloseUp, resize, side_by_side, window_of_motion
+from cophy.report.predictions import interval_half_width
 from cophy.scenario import Camera
 from cophy.scenario.camera import Window
 from cophy.scenario.rendering import Backend, Renderer, RenderSettings
@@ -205,18 +204,22 @@ def ring(axis: Axes, camera: Camera, places: np.ndarray, window: Window, colors:
 
 
 def errors_over_time(data: dict[str, ExperimentDataset], held: dict[str, Held], predicted: dict) -> Figure:
-    """Draw the mean position error of each method over time, with 95 % bootstrap bands over clusters of test experiments."""
+    """Draw the mean position error of each method over time, with 95 % bands over clusters of test experiments."""
     figure = Figure(figsize=(WIDTH_IN, 3.1), dpi=DPI)
     axes = figure.subplots(1, 3)
     figure.subplots_adjust(left=0.075, right=0.99, top=0.8, bottom=0.15, wspace=0.2)
     for axis, (name, experiments) in zip(axes, held.items(), strict=True):
         time = np.arange(experiments.true.shape[1] + 1) / data[name].scenario.clock.frame_rate_hz
         for method, color in METHODS.items():
-            curves = curves_of_clusters(predicted[name][method], experiments)
-            axis.plot(time, curves.mean(axis=0), color=color, lw=1.6, label=method)
-            if len(curves) > 1:
-                band = bootstrap((curves,), np.mean, n_resamples=NUM_RESAMPLES, method="percentile", rng=0)
-                axis.fill_between(time, *band.confidence_interval, color=color, alpha=0.2, lw=0)
+            true, presence, dims = experiments.true, experiments.presence, experiments.dims
+            errors = error_over_time(predicted[name][method], true, presence, dims=dims)
+            # at t = 0, D is C
+            mean, half = (
+                np.pad(each, (1, 0))
+                for each in (errors.mean(axis=0), interval_half_width(errors, experiments.arrays["cluster"]))
+            )
+            axis.plot(time, mean, color=color, lw=1.6, label=method)
+            axis.fill_between(time, mean - half, mean + half, color=color, alpha=0.2, lw=0)
         axis.set_title(f"{TITLES[name]} (n = {len(experiments.true)})", fontsize=9)
         axis.set(xlim=(0, time[-1]), ylim=(0, None))
         axis.set_xlabel("time (s)", fontsize=9)
@@ -226,15 +229,6 @@ def errors_over_time(data: dict[str, ExperimentDataset], held: dict[str, Held], 
     axes[0].set_ylabel("mean position error (m)", fontsize=9)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="upper center", ncols=4, frameon=False, fontsize=10)
     return figure
-
-
-def curves_of_clusters(predicted: np.ndarray, held: Held) -> np.ndarray:
-    """Return the mean position error of each cluster at every frame, (cluster, T) metres; it is 0 in C."""
-    members = [held.arrays["cluster"] == number for number in np.unique(held.arrays["cluster"])]
-    curves = [
-        error_over_time(predicted[m], held.true[m], held.presence[m], dims=held.dims).mean(axis=0) for m in members
-    ]
-    return np.pad(curves, ((0, 0), (1, 0)))
 
 
 def clip(dataset: ExperimentDataset, experiment: int) -> bytes:
