@@ -238,10 +238,23 @@ def test_a_checkpoint_continues_with_the_best_of_its_own_training(name: str, run
     leave_checkpoints(run, "interrupted")
     start_training(run, "another", reuse=True, ckpt=None, code="new")  # renames them
     leave_checkpoints(run, "of another")
+    record_finished(run, "another", FACTS | CODE)
     (run.checkpoints / "mine.ckpt").write_text("of another")
     start_training(run, "third", reuse=True, ckpt=run.checkpoints / name, code="new")
     expected = "interrupted" if name == "last_of_stopped.ckpt" else "of another"
     assert (run.checkpoints / "best.ckpt").read_text() == expected
+
+
+def test_an_interrupted_training_never_replaces_the_checkpoint_that_is_resumed(run: Run) -> None:
+    for name in ("one", "another"):
+        start_training(run, name, reuse=True, ckpt=None, code="new")
+        leave_checkpoints(run, name)
+    start_training(run, "third", reuse=True, ckpt=None, code="new")
+    leave_checkpoints(run, "third")
+    older = run.checkpoints / "last_of_stopped.ckpt"
+    with pytest.raises(CophyError, match="move one of them elsewhere"):
+        start_training(run, "fourth", reuse=True, ckpt=older, code="new")
+    assert (older.read_text(), (run.checkpoints / "last.ckpt").read_text()) == ("another", "third")
 
 
 def test_a_damaged_note_of_another_run_stops_nothing(run: Run, tmp_path: Path) -> None:

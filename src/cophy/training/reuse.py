@@ -149,6 +149,9 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, cod
         reuse: Whether earlier trainings are looked for.
         ckpt: The checkpoint (ckpt=) that the training starts from.
         code: See `hash_code`; to name what has changed since the training in the folder.
+
+    Raises:
+        CophyError: A note of the folder is damaged, or another interrupted training would take the name of `ckpt`.
     """
     if reuse and (checkpoints := _find_finished(run, wanted)) is not None:
         log.info("already trained on the same data with the same settings: %s (reuse=false trains again)", checkpoints)
@@ -168,12 +171,17 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, cod
     if ckpt is not None and ckpt.with_name(name_of_best).is_file():
         best = read_file(ckpt.with_name(name_of_best))
     is_last = ckpt is not None and last.exists() and ckpt.samefile(last)
+    older = last.with_name(STOPPED[last.name])
+    if ckpt is not None and stopped and last.exists() and older.exists() and ckpt.samefile(older):
+        raise CophyError(
+            f"{last}, of another interrupted training, would take the name of {ckpt}: move one of them elsewhere"
+        )
     _clear(run, keeps_last=bool(stopped) or is_last)
     if best is not None:  # the best epoch so far may remain the best
         run.checkpoints.mkdir(parents=True, exist_ok=True)
         write_atomically(run.checkpoints / "best.ckpt", best)
     _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": 0})
-    resumed_from = last.with_name(STOPPED[last.name]) if is_last else ckpt
+    resumed_from = older if is_last else ckpt
     return Start(None, resumed_from, int(ckpt is not None), keeps_curves=ckpt is not None)
 
 
