@@ -175,7 +175,9 @@ def score(predictions: Predictions, truth: Truth) -> Scores:
             present object is not finite.
     """
     _check_truth(truth)
-    predicted, logit, variance, samples = _aligned(predictions, truth)
+    matched = aligned(predictions, truth)
+    predicted, logit, samples = matched.position, matched.stable_logit, matched.samples
+    variance = np.zeros_like(predicted) if matched.draw_variance is None else matched.draw_variance
     presence, dims = truth.presence, truth.metric_dims
     true = _present(truth.position, presence)
     error = predicted - true
@@ -309,39 +311,31 @@ def _present(values: np.ndarray, presence: np.ndarray) -> np.ndarray:
     return np.where(present, values.astype(np.float64), 0.0)
 
 
-def _aligned(
-    predictions: Predictions, truth: Truth
-) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray | None]:
-    """Return positions, logits, variances and samples in the order of the truth, zero in empty slots."""
+def aligned(predictions: Predictions, truth: Truth) -> Predictions:
+    """Return predictions in the order of the truth, in double precision, zero in empty slots.
+
+    Raises:
+        CophyError: See `score`.
+    """
     rows, shape = _rows(predictions.experiment, truth.experiment), truth.position.shape
     arrays = {name: getattr(predictions, name) for name in ("position", "stable_logit", "draw_variance", "samples")}
     shapes: dict[str, list[tuple[int, ...]]] = {name: [shape] for name in arrays}
     shapes["stable_logit"] = [shape[:3], (shape[0], 1, shape[2])]
     if arrays["samples"] is not None and arrays["samples"].ndim == 5 and arrays["samples"].size:
         shapes["samples"] = [(shape[0], arrays["samples"].shape[1], *shape[1:])]
-    aligned: dict[str, np.ndarray | None] = {}
-    for name, array in arrays.items():
-        if array is None:
-            aligned[name] = None
-            continue
+    matched = {}
+    for name, array in ((name, array) for name, array in arrays.items() if array is not None):
         if array.shape not in shapes[name] or array.dtype.kind != "f":
             choices = " or ".join(map(str, shapes[name]))
             raise CophyError(f"predictions: {name} is {array.dtype} of shape {array.shape}, not floats of {choices}")
-        aligned[name] = values = _present(array[rows], truth.presence)
+        matched[name] = values = _present(array[rows], truth.presence)
         finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
         if not finite.all():
             raise CophyError(
                 f"predictions: {name} of experiment {truth.experiment[finite.argmin()]} has non-finite values; "
                 "if a training made them, lower its learning rate or look for a division by zero in its model"
             )
-    position, variance = aligned["position"], aligned["draw_variance"]
-    assert position is not None
-    return (
-        position,
-        aligned["stable_logit"],
-        np.zeros_like(position) if variance is None else variance,
-        aligned["samples"],
-    )
+    return Predictions(truth.experiment, **matched)
 
 
 def _rows(predicted: np.ndarray, tested: np.ndarray) -> np.ndarray:

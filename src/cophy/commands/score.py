@@ -14,7 +14,7 @@ from cophy.atomic_files import sha256
 from cophy.config import generated_by, require_scenario, to_config, value_text, variant
 from cophy.errors import CophyError, check_name
 from cophy.schemas import ScoreConfig
-from cophy.scoring import Predictions, Scores, mse_of_copies, score
+from cophy.scoring import Predictions, Scores, aligned, mse_of_copies, score
 from cophy.submission import TestedSplit, read_predictions_file, read_test_split, write_template
 from cophy.training.run import SCORED_FILE, Results, Run
 
@@ -133,12 +133,8 @@ def copies(test: TestedSplit) -> dict[str, float]:
 
 def run_arrays(predictions: Predictions, test: TestedSplit) -> dict[str, np.ndarray]:
     """Return the arrays of predictions.npz, in the order of the truth."""
-    truth = test.truth
-    order = np.argsort(predictions.experiment)[np.argsort(np.argsort(truth.experiment))]
+    truth, matched = test.truth, aligned(predictions, test.truth)
     names = ("experiment", "pair", "cluster", "cell", "initial", "presence", "stable")
     arrays = {name: getattr(truth, name) for name in names} | {"target": truth.position}
-    for name in ("position", "stable_logit", "draw_variance"):
-        if (predicted := getattr(predictions, name)) is not None:
-            present = truth.presence[:, None] if predicted.ndim == 3 else truth.presence[:, None, :, None]
-            arrays[name] = np.where(present, predicted[order], 0.0)
-    return arrays
+    predicted = {name: getattr(matched, name) for name in ("position", "stable_logit", "draw_variance")}
+    return arrays | {name: array for name, array in predicted.items() if array is not None}
