@@ -42,11 +42,11 @@ class Annealing(LambdaLR):
 
 def cosine_to_zero(optimizer: Optimizer, epochs: int) -> LambdaLR:
     """Let the learning rate fall to zero along a cosine."""
-    if epochs < 0:
+    if epochs < 1:  # -1: no limit
         raise ValueError(
             f"trainer.max_epochs={epochs} has no last epoch, where the rate is zero: add schedule=constant"
         )
-    return Annealing(optimizer, lambda epoch: (1 + math.cos(math.pi * min(epoch / max(epochs, 1), 1))) / 2)
+    return Annealing(optimizer, lambda epoch: (1 + math.cos(math.pi * min(epoch / epochs, 1))) / 2)
 
 
 def constant(optimizer: Optimizer, epochs: int) -> LambdaLR:

@@ -167,9 +167,10 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, cod
         resumed = stopped["resumed"] + 1
         _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
         return Start(None, last, resumed + (ckpt is not None), keeps_curves=True)
-    best, name_of_best = None, STOPPED["best.ckpt"] if ckpt and ckpt.name == STOPPED["last.ckpt"] else "best.ckpt"
-    if ckpt is not None and ckpt.with_name(name_of_best).is_file():
-        best = read_file(ckpt.with_name(name_of_best))
+    best = None  # the best epoch of the training that `ckpt` is from
+    if ckpt is not None:
+        path = ckpt.with_name(STOPPED["best.ckpt"] if ckpt.name == STOPPED["last.ckpt"] else "best.ckpt")
+        best = read_file(path) if path.is_file() else None
     is_last = ckpt is not None and last.exists() and ckpt.samefile(last)
     older = last.with_name(STOPPED[last.name])
     if ckpt is not None and stopped and last.exists() and older.exists() and ckpt.samefile(older):
