@@ -42,7 +42,7 @@ sbom: setup
     {{pip}} {{uv}}
     {{bin}}/uvx --from cyclonedx-bom==7.5.0 cyclonedx-py environment .venv --output-file sbom.json
 
-# draw collisions, train and test five models on them, and report tables and figures (minutes on two cores)
+# draw collisions, train four models on them and test six, and report tables and figures (minutes on two cores)
 demo: setup
     {{bin}}/python src/look.py scenario=collision directory=outputs/demo/pictures
     {{bin}}/python src/train.py {{demo}} +row=copy_c,copy_b

@@ -34,12 +34,11 @@ from cophy.dataset.features import declared_inputs, not_derendered
 from cophy.dataset.splits import FRACTIONS
 from cophy.oracles.forecasts import SECONDS_PER_EXPERIMENT
 from cophy.report.paper_tables import ESTIMATED_IN_TESTING, TRUE_POSITIONS, methods, paper_tables
-from cophy.report.paper_tables import SIMULATED as SIMULATIONS
 from cophy.schemas import register
-from cophy.training.run import METRICS, Run
+from cophy.training.run import METRICS, RUN_NAMES, Run
 
 ROOT = Path(__file__).parents[1]
-ROW = ["scenario", "split", "model", "ablation", "positions", "size", "variant", "seed"]  # columns of results.csv
+ROW = list(RUN_NAMES)  # columns of results.csv
 ERRORS = ["scenario", "test_dataset", "model"]  # columns of oracles.csv
 RESULTS = ROOT / "docs" / "results" / "results.csv"
 CHECKPOINTS = ROOT / "checkpoints"
@@ -124,13 +123,16 @@ def main(parts: list[str], scenarios: list[str], size: str, workers: int, launch
         return
     failed = []
     for jobs in left.values():
-        failed += run_all([job for job in jobs if not job.finished.exists()], workers, launcher)
+        ran = run_all([job for job in jobs if not job.finished.exists()], workers, launcher)
+        failed += [job.name for job in ran]
     print_cost(time.monotonic() - start)
     if TABLES in (parts or [TABLES]):
         for script in ("benchmarks/results/keep_results.py", "docs/generate.py"):
-            subprocess.run([sys.executable, str(ROOT / script)], check=True)
+            if subprocess.run([sys.executable, str(ROOT / script)], check=False).returncode:
+                failed.append(script)
+                break
     if failed:
-        sys.exit("failed: " + "\nfailed: ".join(job.name for job in failed))
+        sys.exit("failed: " + "\nfailed: ".join(failed))
 
 
 def rows_that_are_kept(results: Path) -> set[tuple[str, ...]]:
@@ -247,13 +249,13 @@ def is_derendered(row: str) -> bool:
 
 def table_rows(size: str, *, estimated: bool) -> list[tuple[str, str, str, str]]:
     """Return scenario, split, method and positions of all cells of the tables that are trained or copied."""
-    names = {(method.model, method.ablation): name for name, method in methods().items()}
+    names = {(method.model, method.ablation): name for name, method in methods().items() if not method.simulates}
     cells = [cell for table in paper_tables() for _, _, cell, _ in table.cells()]
     rows = dict.fromkeys(
-        (cell["scenario"], cell["split"], names[cell["model"], cell["ablation"]], cell["positions"])
+        (cell["scenario"], cell["split"], name, cell["positions"])
         for cell in cells
         if (cell["positions"] != TRUE_POSITIONS) == estimated
-        and not cell.get("model", SIMULATIONS[0]).startswith(SIMULATIONS)
+        and (name := names.get((cell.get("model", ""), cell.get("ablation", ""))))  # None for human participants
     )
     return [
         (scenario, split, row, positions)
@@ -272,10 +274,11 @@ def curve_jobs(size: str) -> Iterator[Job]:
 
 @cache
 def known_seconds() -> "pd.Series[float]":
-    """Median time of a training per experiment and epoch, by scenario, model and ablation; 0 where nothing is trained."""
+    """Median CPU time of a training per experiment and epoch, by scenario, model and ablation; 0 where nothing is trained."""
     runs = pd.concat([pd.read_csv(RESULTS.with_name(f"{name}.csv")) for name in ("format_3", "results")])
     runs = runs[runs["predictor"].isna()]
-    seconds = runs["training_seconds"] / (runs["num_train"] * runs["max_epochs"].fillna(1))
+    seconds = runs["training_cpu_seconds"].fillna(runs["training_seconds"])  # format 3 has wall-clock time alone
+    seconds /= runs["num_train"] * runs["max_epochs"].fillna(1)
     return seconds.groupby([runs["scenario"], runs["model"], runs["ablation"]]).median()
 
 
@@ -322,7 +325,7 @@ def run_job(
     changed = {key: value for key, value in changed.items() if value is not None}
     tested = {"derenderer": derenderer} if derenderer else {}
     change = variant(changed | tested)
-    place = Run(scenario, split, names["model"], names["ablation"], positions, seed, size, change, Path()).place
+    of_job = Run(scenario, split, names["model"], names["ablation"], positions, seed, size, change, Path())
     command = ["train", f"scenario={scenario}", f"split={split}"]
     method = f"model={row}" if row == DERENDERER else f"+row={row}"
     command += [method, f"size={size}", f"seed={seed}"]
@@ -330,7 +333,7 @@ def run_job(
     command += [f"{key}={value}".replace(" ", "") for key, value in keys.items()]
     command += [f"positions={positions}"] if positions != TRUE_POSITIONS else []
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
-    identity = (scenario, split, names["model"], names["ablation"], positions, size, change, str(seed))
+    identity = tuple(map(str, of_job.names().values()))
     trained_on, experiments, factor = training_of(scenario, split, size)
     epochs = epochs_of(method, size) * factor
     experiments = (changes or {}).get("training.num_experiments", experiments)
@@ -338,7 +341,7 @@ def run_job(
     hours = TEST_HOURS if predictor else seconds / 3600
     sees_estimates = positions not in (TRUE_POSITIONS, ESTIMATED_IN_TESTING)
     training = None if predictor else (scenario, trained_on, row, seed, variant(changed), sees_estimates)
-    return Job(scenario, command, OUTPUTS / place / METRICS, hours, row=identity, training=training)
+    return Job(scenario, command, OUTPUTS / of_job.place / METRICS, hours, row=identity, training=training)
 
 
 PARTS = {
@@ -360,8 +363,8 @@ def print_plan(part: str, jobs: list[Job], left: list[Job]) -> None:
     for column in ("scenario", "left", "CPU-hours", "MB"):
         table.add_column(column)
     for scenario in dict.fromkeys(job.scenario for job in left):
-        of = [job for job in left if job.scenario == scenario]
-        table.add_row(scenario, str(len(of)), in_hours(of), f"{sum(job.megabytes for job in of):.0f}")
+        chosen = [job for job in left if job.scenario == scenario]
+        table.add_row(scenario, str(len(chosen)), in_hours(chosen), f"{sum(job.megabytes for job in chosen):.0f}")
     Console().print(table)
 
 

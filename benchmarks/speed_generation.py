@@ -41,12 +41,12 @@ def simulation(scenario: Scenario, num_objects: int, simulator: Simulator) -> li
     """Measure the CPU time of simulating A ÷ that of its bare calls of stepSimulation (bodies, reading of states)."""
     experiment, _ = scenario.twin_pair(num_objects, data_seed=0, pair=0, simulator=simulator)
     clock = scenario.clock
-    steps = (clock.num_states - 1) * scenario.solver.step_rate_hz // clock.state_rate_hz
 
     def bare() -> float:
-        simulator._reset(experiment.scene, scenario.solver, scenario.solver.step_rate_hz)
+        calls = simulator._reset(experiment.scene, scenario.solver, clock.state_rate_hz)  # per state
         simulator._add_all(experiment.scene, scenario.solver)
-        return cpu_seconds(lambda: [simulator._bullet.stepSimulation(simulator._client) for _ in range(steps)])
+        step, client = simulator._bullet.stepSimulation, simulator._client
+        return cpu_seconds(lambda: [step(client) for _ in range((clock.num_states - 1) * calls)])
 
     def whole() -> float:
         return cpu_seconds(lambda: scenario.simulate(simulator, experiment.scene))
@@ -94,10 +94,10 @@ def _generating(workers: int) -> float:
         return cpu_seconds_of("generate.py", "num_objects=[3]", f"workers={workers}", f"data_dir={data_dir}", *size)
 
 
-def generate_states(name: str, num_objects: int, num_experiments: int, data_dir: Path, *, per_shard: int = 2) -> States:
-    """Generate a dataset of `num_experiments` experiments in `data_dir`, `per_shard` in each shard."""
+def generate_states(name: str, num_objects: int, num_experiments: int, data_dir: Path) -> States:
+    """Generate a dataset of `num_experiments` experiments in `data_dir`, two in each shard."""
     scenario = settings("generate", f"scenario={name}").scenario
-    size = Size("bench", per_shard, {name: {str(num_objects): num_experiments}})
+    size = Size("bench", 2, {name: {str(num_objects): num_experiments}})
     states = States(DatasetSpec(scenario, num_objects, size, 0), data_dir)
     states.directory.mkdir(parents=True)
     for shard in range(states.spec.num_shards):
@@ -110,5 +110,5 @@ def draw(images: Images, shard: int) -> tuple[float, float]:
     """Measure the CPU-s of drawing and storing a shard, and of these inside PyBullet's camera."""
     images.directory.mkdir(exist_ok=True)
     start = time.process_time()
-    took = images.write(images.path(shard), shard, lambda done: None)
-    return time.process_time() - start, took["CPU-s inside PyBullet's camera"]
+    cost = images.write(images.path(shard), shard, lambda done: None)
+    return time.process_time() - start, cost["CPU-s inside PyBullet's camera"]

@@ -7,7 +7,6 @@ ten minutes are enough.
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from itertools import product
 
@@ -117,7 +116,7 @@ def prepared(model: str, batch: Batch, precision: str, how: str) -> Callable[[],
         predict = torch.compile(predict)
 
     def step() -> None:
-        with autocast(device.type, precision):
+        with torch.autocast(device.type, torch.bfloat16, enabled=precision != "float32"):
             prediction = predict(inputs)
             loss = position_loss(prediction, batch.targets)
             if prediction.stable_logit is not None:
@@ -153,7 +152,7 @@ def derenderer_step(size: int, precision: str, device: str) -> Callable[[], None
     optimizer = torch.optim.Adam(network.parameters())
 
     def step() -> None:
-        with autocast(device, precision):
+        with torch.autocast(device, torch.bfloat16, enabled=precision != "float32"):
             loss = sum_of_squares(network, images)
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -166,11 +165,6 @@ def sum_of_squares(network: nn.Module, images: torch.Tensor) -> torch.Tensor:
     """Return a loss that every output takes part in."""
     outputs = [each for each in network(images) if isinstance(each, torch.Tensor)]
     return torch.stack([each.float().square().mean() for each in outputs]).sum()
-
-
-def autocast(device: str, precision: str) -> AbstractContextManager[object]:
-    """Return the context of a precision."""
-    return nullcontext() if precision == "float32" else torch.autocast(device, torch.bfloat16)
 
 
 def rates(step: Callable[[], object], device: str) -> list[float]:

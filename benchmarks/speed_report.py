@@ -12,6 +12,7 @@ from speed_startup import cpu_seconds_of
 
 from cophy.commands.report import ComposedData
 from cophy.config import folder
+from cophy.report.predictions import scores_of
 from cophy.scenario import Scenario
 from cophy.training.run import METRICS, Run, write_predictions
 
@@ -58,14 +59,21 @@ def write_runs(outputs: Path) -> None:
             "metrics": {name: line[name] for name in known},
             "intervals": {name: [line[f"{name}_low"], line[f"{name}_high"]] for name in known},
         }
-        (directory / METRICS).write_text(json.dumps(run.names() | facts))
         if run.model != "derenderer":
-            _write_predictions(directory, data.scenario(run.scenario), float(np.sqrt(line["mse"])))
+            mse = _write_predictions(directory, data.scenario(run.scenario), float(np.sqrt(line["mse"])))
+            facts["metrics"]["mse"] = mse
+        (directory / METRICS).write_text(json.dumps(run.names() | facts))
 
 
-def _write_predictions(directory: Path, scenario: Scenario, error: float) -> None:
+def _write_predictions(directory: Path, scenario: Scenario, error: float) -> float:
+    """Write random predictions with about this root mean squared error, and return their MSE."""
     shape = (NUM_TEST, scenario.clock.num_frames - 1, scenario.num_slots, 3)
     target, noise = (np.random.default_rng(seed).standard_normal(shape, np.float32) for seed in (0, 1))
-    arrays = {"target": target, "position": target + np.float32(error) * noise, "initial": target[:, 0]}
-    arrays |= {"presence": np.ones((NUM_TEST, scenario.num_slots), bool), "pair": np.arange(NUM_TEST) // 2}
+    rows, presence = np.arange(NUM_TEST), np.ones((NUM_TEST, scenario.num_slots), bool)
+    arrays = {
+        **{"target": target, "position": target + np.float32(error) * noise, "initial": target[:, 0]},
+        **{"presence": presence, "stable": np.zeros(shape[:3], bool)},
+        **{"experiment": rows, "pair": rows // 2, "cluster": rows // 2, "cell": np.zeros_like(rows)},
+    }
     write_predictions(directory, arrays)
+    return float(scores_of(arrays, scenario.task.metric_dims).mse.mean())

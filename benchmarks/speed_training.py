@@ -121,7 +121,7 @@ def whole_epochs(batch_size: int) -> list[float]:
     """CPU time of an epoch under Lightning, without validation, ÷ that of its bare steps."""
     model = network()
     data = CounterfactualDataset(random_batch(EXPERIMENTS_PER_EPOCH, *KINDS["towers, 3 of 4 slots"]))
-    step = training_step(model, model)
+    step = training_step(model, model, instantiate(settings("train").training.optimizer))
     module = lightning_module(model)
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     for harmless in ("You defined a `validation_step`", ".*does not have many workers", ".*LeafSpec"):

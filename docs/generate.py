@@ -2,7 +2,8 @@
 
 Tables between `<!-- generated: NAME -->` and `<!-- end of generated: NAME -->`, in README.md, checkpoints/README.md and docs/, and
 the plots of docs/figures. They are made from docs/results/results.csv, the paper's numbers (paper_tables.yaml),
-docs/cophy/claims.yaml, docs/results/columns.csv, docs/results/gpu*.csv and checkpoints/index.csv. With --check nothing is written;
+docs/cophy/claims.yaml, docs/results/columns.csv, docs/results/gpu*.csv, checkpoints/index.csv, leaderboard/*.yaml, conf/size/ and
+the costs that src/ states. With --check nothing is written;
 the command names what differs, and exits with 1.
 """
 
@@ -31,6 +32,7 @@ from result_runs import (
     SIZES,
     TABLE,
     Results,
+    column_title,
     columns,
     in_prose,
     markdown,
@@ -79,15 +81,16 @@ def main() -> None:
 
 def update_pages(results: Results, check: bool) -> Iterator[str]:
     """Yield the generated blocks that differ; write them unless `check`."""
-    made = blocks(results)
+    writers = blocks(results)
     pages = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
     for page in [ROOT / "README.md", ROOT / "checkpoints" / "README.md", *pages]:
         old = page.read_text()
         names = BLOCK.findall(old)
-        if unknown := set(names) - set(made):
-            sys.exit(f"{page.relative_to(ROOT)}: no generated block {min(unknown)}; there are {', '.join(made)}")
+        if unknown := set(names) - set(writers):
+            sys.exit(f"{page.relative_to(ROOT)}: no generated block {min(unknown)}; there are {', '.join(writers)}")
         text = {
-            name: f"<!-- generated: {name} -->\n\n{made[name]()}\n\n<!-- end of generated: {name} -->" for name in names
+            name: f"<!-- generated: {name} -->\n\n{writers[name]()}\n\n<!-- end of generated: {name} -->"
+            for name in names
         }
         yield from (f"{page.relative_to(ROOT)}: {name}" for name in names if text[name] not in old)
         new = BLOCK.sub(lambda found, text=text: text[found[1]], old)
@@ -117,8 +120,8 @@ def blocks(results: Results) -> Mapping[str, Callable[[], str]]:
         "entries": entries_table,
         "paper": paper,
         "readme": partial(readme, results),
-        "table_1": partial(of_paper_table, results, "human_comparison"),
-        **{name: partial(of_paper_table, results, name) for name in ABLATIONS},
+        "table_1": partial(paper_table, results, "human_comparison"),
+        **{name: partial(paper_table, results, name) for name in ABLATIONS},
         "learning_curves": partial(learning_curves, results),
         "training_time": partial(training_time, results),
         "data_seeds": partial(data_seeds, results),
@@ -197,11 +200,11 @@ def leaderboard(results: Results, scenario: str, **names: str) -> str:
 def ratio_to_copy_c(results: Results) -> str:
     """MSE divided by that of copy C."""
     rows = []
-    for scenario, split, label in COLUMNS:
+    for scenario, split, _ in COLUMNS:
         copy_c = results.cell("mse", scenario, split, "copy_c")
         cells = [results.cell("mse", scenario, split, method) for method in RATIOS]
         ratios = [ratio(cell.value, copy_c.value) if cell else NOTHING for cell in cells]
-        rows.append([f"{SCENARIOS[scenario]} {label}", *ratios])
+        rows.append([column_title(scenario, split), *ratios])
     return markdown(["MSE ÷ MSE of copy C", *map(title, RATIOS)], rows)
 
 
@@ -209,10 +212,10 @@ def paper() -> str:
     """The paper's MSE with its ratio to the paper's copy C."""
     shown = (*COPIES, "in", "npe", "cophynet", "in_sup")
     rows = []
-    for scenario, split, label in COLUMNS:
+    for scenario, split, _ in COLUMNS:
         cells = {method: published(scenario, split, method) for method in shown}
         ratios = [f"{value:.3f} ({ratio(value, cells['copy_c'])})" for value in list(cells.values())[1:]]
-        rows.append([f"{SCENARIOS[scenario]} {label}", f"{cells['copy_c']:.3f}", *ratios])
+        rows.append([column_title(scenario, split), f"{cells['copy_c']:.3f}", *ratios])
     names = [f"{title(method)}{' ᵉ' if method == 'cophynet' else ''}" for method in shown]
     return markdown(["the paper's MSE, m²", *names], rows)
 
@@ -221,7 +224,7 @@ def readme(results: Results) -> str:
     """A few rows and columns of the leaderboard."""
     header = [
         "test MSE, m²",
-        *(f"{SCENARIOS[scenario]} {columns(scenario)[split]}" for scenario, split in README_COLUMNS),
+        *(column_title(*column) for column in README_COLUMNS),
     ]
     cells = [[results.cell("mse", *column, method) for column in README_COLUMNS] for method in README_METHODS]
     return markdown(
@@ -236,11 +239,10 @@ def readme(results: Results) -> str:
 def every_split(results: Results, scenario: str) -> str:
     """A table per split with every measure."""
     parts = []
-    for split, label in columns(scenario).items():
+    for split in columns(scenario):
         rows = [measures(results, method, scenario, split) for method in (*COMPETING, *GIVEN_MORE)]
-        head = f"{SCENARIOS[scenario]} {label}"
         names = ["MSE, m²", "share, %", "twins, %", "right twin, %", "seeds", "CPU minutes", "parameters"]
-        parts.append(markdown([head, *names], filter(None, rows)))
+        parts.append(markdown([column_title(scenario, split), *names], filter(None, rows)))
     return "\n\n".join(parts)
 
 
@@ -250,27 +252,28 @@ def measures(results: Results, method: str, scenario: str, split: str) -> list[s
     if (mse := results.cell("mse", *names)) is None:
         return None
     others = [results.cell(measure, *names) for measure in ("share", "twin_difference_explained", "right_twin_chosen")]
+    of_seeds = [f" (seeds: {cell.seeds})" if cell and cell.seeds < mse.seeds else "" for cell in others]
     run = results.of(*names)[0]
     seconds, parameters = run["training_cpu_seconds"], run["parameters"]
     is_trained = parameters > 0 or seconds > 0
     return [
         title(method),
         mse.full(),
-        *(cell.full(0, 100) if cell else NOTHING for cell in others),
+        *(cell.full(0, 100) + seeds if cell else NOTHING for cell, seeds in zip(others, of_seeds, strict=True)),
         f"{mse.seeds}" + (f", sd {mse.deviation:.3f}" if mse.seeds > 1 else "") if is_trained else NOTHING,
         f"{seconds / 60:.1f}" if seconds > 0 else NOTHING,
         f"{parameters:,.0f}" if parameters > 0 else NOTHING,
     ]
 
 
-def of_paper_table(results: Results, table_id: str) -> str:
+def paper_table(results: Results, table_id: str) -> str:
     """A table of the paper with methods as rows: our number, then the paper's in italics; empty rows are left out."""
     table = next(table for table in paper_tables() if table.id == table_id)
     rows: dict[str, dict[str, str]] = defaultdict(dict)
     for row, column, names, number in table.cells():
         if names.get("model") not in ("oracle_initial_velocity", "oracle_confounders"):
             head, under = (column, row) if table.methods_in == "columns" else (row, column)
-            rows[head][under] = of_paper_cell(results, table, names, number)
+            rows[head][under] = paper_cell(results, table, names, number)
     shown = {head: cells for head, cells in rows.items() if set(cells.values()) != {NOTHING}}
     return markdown(
         ["ours *(the paper's)*", *next(iter(shown.values()))],
@@ -278,7 +281,7 @@ def of_paper_table(results: Results, table_id: str) -> str:
     )
 
 
-def of_paper_cell(results: Results, table: PaperTable, names: dict[str, str], number: float | None) -> str:
+def paper_cell(results: Results, table: PaperTable, names: dict[str, str], number: float | None) -> str:
     """Return our number and the paper's; nothing where we have none."""
     if "model" not in names:  # human participants
         return NOTHING
@@ -313,7 +316,7 @@ def training_time(results: Results) -> str:
         trainings = [results.of(scenario, split, method) for method in methods]
         known = [[run["training_cpu_seconds"] for run in runs if run["training_cpu_seconds"] > 0] for runs in trainings]
         minutes = (f"{min(seconds) / 60:.0f}" if seconds else NOTHING for seconds in known)
-        rows.append([f"{SCENARIOS[scenario]} {columns(scenario)[split]}", *minutes])
+        rows.append([column_title(scenario, split), *minutes])
     return markdown(["CPU minutes", *map(title, methods)], rows)
 
 
@@ -335,9 +338,8 @@ def data_seeds(results: Results) -> str:
                 ]
                 seeds = (str(cell.seeds) if (cell := cells["mse", seed]) else NOTHING for seed in (0, 1))
                 rows.append([title(method), *texts, *seeds])
-        head = f"{SCENARIOS[scenario]} {columns(scenario)[split]}"
         names = [f"{name}, data seed {seed}" for name in ("MSE, m²", "twins, %", "training seeds") for seed in (0, 1)]
-        parts.append(markdown([head, *names], rows))
+        parts.append(markdown([column_title(scenario, split), *names], rows))
     return "\n\n".join(parts)
 
 
@@ -355,7 +357,7 @@ def alongside_parts(results: Results) -> str:
     for model in PARTS:
         pairs = (cells[model, scenario] for scenario in shown)
         rows.append([f"`{model}`", *(f"{mse.short()}; {twins.number(0, 100)} %" for mse, twins in pairs)])
-    heads = (f"{SCENARIOS[scenario]} {columns(scenario)[CURVES[scenario]]}" for scenario in shown)
+    heads = (column_title(scenario, CURVES[scenario]) for scenario in shown)
     return markdown(["MSE, m²; twins", *heads], rows)
 
 
@@ -370,12 +372,12 @@ def estimated(results: Results) -> str:
     rows = []
     for place in dict.fromkeys(place for (place, _), cell in cells.items() if cell):
         texts = [
-            f"{cell.short()} ({results.cell('mse', *place, method).number()})"
+            f"{cell.short()} ({true.number() if (true := results.cell('mse', *place, method)) else NOTHING})"
             if (cell := cells[place, method])
             else NOTHING
             for method in methods
         ]
-        rows.append([f"{SCENARIOS[place[0]]} {columns(place[0])[place[1]]}", *texts])
+        rows.append([column_title(*place), *texts])
     return markdown(["MSE, m²", *map(title, methods)], rows)
 
 

@@ -29,7 +29,7 @@ def compared(
 
     Args:
         results: The runs.
-        method, than: What is compared with what; names of a run may follow a method, as `cophynet positions=derendered`.
+        method, than: What is compared with what; names of a run may follow an entry of `than`: `cophynet positions=derendered`.
         columns: `scenario split`, or a scenario for all of its columns; all of Tables 2 to 4 by default.
         measure: Column of the table of runs.
         names: Further names of both runs.

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import Any
 
 import yaml
@@ -201,12 +202,8 @@ def entries_table() -> str:
 
 def _cell(values: list[list[float]], digits: int) -> str:
     means = [value[0] for value in values]
-    mean = sum(means) / len(means)
-    if len(means) > 1:
-        spread = (sum((each - mean) ** 2 for each in means) / (len(means) - 1)) ** 0.5
-    else:
-        spread = (values[0][2] - values[0][1]) / 2
-    return f"{mean:.{digits}f} ±{spread:.{digits}f}"
+    spread = stdev(means) if len(means) > 1 else (values[0][2] - values[0][1]) / 2
+    return f"{fmean(means):.{digits}f} ±{spread:.{digits}f}"
 
 
 if __name__ == "__main__":

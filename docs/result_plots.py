@@ -41,8 +41,9 @@ MEASURES = {
 
 
 def digest(data: Data) -> str:
-    """Return a digest of the numbers of a plot, and of the code that draws it."""
-    text = json.dumps(data, default=lambda value: astuple(value) if is_dataclass(value) else str(value))
+    """Return a digest of the numbers and names in a plot, and of the code that draws it."""
+    names = [SCENARIOS, {method: title(method) for method in {**STYLES, **COSTS}}]
+    text = json.dumps([data, names], default=lambda value: astuple(value) if is_dataclass(value) else str(value))
     return hashlib.sha256((text + Path(__file__).read_text()).encode()).hexdigest()[:16]
 
 

@@ -126,6 +126,10 @@ def cell_of(runs: list[Run], measure: str) -> Cell | None:
             raise SystemExit(
                 f"results.csv: runs of several {shared} cannot be averaged: {[known[0][name] for name in NAMES]}"
             )
+    if len({run["seed"] for run in known}) < len(known):
+        raise SystemExit(
+            f"results.csv: several runs of one seed cannot be averaged: {[known[0][name] for name in NAMES]}"
+        )
     values, lows, highs = ([run[measure + end] for run in known] for end in ("", "_low", "_high"))
     low, high = fmean(lows), fmean(highs)
     interval = (low, high) if low == low and high == high else (None, None)
@@ -137,6 +141,11 @@ def columns(scenario: str) -> dict[str, str]:
     """Return the splits of a scenario's table in the paper, with their labels."""
     table = next(table for table in paper_tables() if table.id == scenario)
     return {keys["split"]: label for label, keys in table.rows.items()}
+
+
+def column_title(scenario: str, split: str) -> str:
+    """Return the name of a column of the paper's tables, with its scenario."""
+    return f"{SCENARIOS[scenario]} {columns(scenario)[split]}"
 
 
 def published(scenario: str, split: str, method: str) -> float | None:

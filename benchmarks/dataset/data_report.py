@@ -65,7 +65,8 @@ def lines(arrays: Arrays, spec: DatasetSpec) -> Lines:
 def convergence(arrays: Arrays, spec: DatasetSpec, simulator: Simulator) -> Lines:
     """Yield how far D changes, as an MSE with its standard error, if the solver's rate is doubled and doubled again."""
     scenario, starts, paths = spec.scenario, [], []
-    for row in np.linspace(0, spec.num_experiments - 1, NUM_CONVERGENCE).astype(int).tolist():
+    count = min(NUM_CONVERGENCE, spec.num_experiments)
+    for row in np.linspace(0, spec.num_experiments - 1, count).astype(int).tolist():
         starts.append(scenes_of(arrays, row, scenario)[1])
     for times in (1, 2, 4):
         solver = replace(scenario.solver, step_rate_hz=times * scenario.solver.step_rate_hz)

@@ -1,6 +1,6 @@
 """What fitting spheres to AB finds out: python benchmarks/results/fit_spheres.py [--num-objects K] [--data-dir FOLDER]
 
-Prints how often model=spheres finds masses and frictions, and the energy score of its draws of D beside the MSE of their mean. Test
+Prints how often model=spheres finds masses and frictions, and the energy score of its draws of D next to the MSE of their mean. Test
 split of size=small, data seed 0; two CPU-seconds per experiment of four balls.
 """
 
@@ -32,8 +32,8 @@ def main(num_objects: int, data_dir: Path) -> None:
     model = instantiate(config.model)
     assert isinstance(model, FittedSpheres)
     data = cophy.load("balls", split="test", num_objects=num_objects, data_dir=data_dir)
-    every = round(data.scenario.clock.state_rate_hz / data.scenario.clock.frame_rate_hz)
-    positions = torch.from_numpy(data.arrays["states"][:, :, ::every, :, :3]).double()
+    states = data.arrays["states"][:, :, :: data.scenario.clock.states_per_frame]
+    positions = torch.from_numpy(states[..., :3]).double()
     presence = torch.from_numpy(data.arrays["presence"])
     values = {name: torch.from_numpy(data.arrays[name]) for name in ("mass", "friction")}
     samples, right = np.empty((len(positions), SAMPLES, *positions[0, 1, 1:].shape), dtype=np.float32), []

@@ -1,4 +1,4 @@
-"""How well idealised physics predicts balls, by what it knows: python benchmarks/results/idealised_balls.py [data_dir]
+"""How well idealised physics predicts balls, by what it knows: python benchmarks/results/idealised_balls.py [--data-dir FOLDER]
 
 D of four balls is computed by the idealised physics of cophy.models.spheres. It starts from the true positions, velocities, masses and
 frictions, or without some of them. Test split of size=small, data seed 0.
@@ -31,8 +31,8 @@ def main(data_dir: Path) -> None:
     scenario, arrays = data.scenario, data.arrays
     assert isinstance(scenario, Balls)
     clock = scenario.clock
-    frame, every = 1 / clock.frame_rate_hz, round(clock.state_rate_hz / clock.frame_rate_hz)
-    states = torch.from_numpy(arrays["states"][:, :, ::every]).double()
+    frame = 1 / clock.frame_rate_hz
+    states = torch.from_numpy(arrays["states"][:, :, :: clock.states_per_frame]).double()
     gravity, frames = -scenario.gravity_z * frame**2, states.shape[2] - 1
     arenas = {
         parts: Arena(scenario.arena_half_width, scenario.ball_diameter / 2, gravity, parts) for parts in (1, 2, 4, 8)
@@ -65,9 +65,9 @@ def main(data_dir: Path) -> None:
     add("all but the initial velocities: from the first frame of AB", replace(cd, velocity=read))
     # the floor slows a ball that touches nothing else to between 5/7 and all of its velocity, in the same direction
     after = states[:, 0, 1, :, 7:9] * frame
-    kept = (after * velocity).sum(-1) / velocity.square().sum(-1).clamp(min=TINY)
-    aside = (after - kept[..., None] * velocity).norm(dim=-1)
-    touched = (kept < 5 / 7 - TOLERANCE) | (kept > 1 + TOLERANCE) | (aside > TOLERANCE)
+    share_kept = (after * velocity).sum(-1) / velocity.square().sum(-1).clamp(min=TINY)
+    aside = (after - share_kept[..., None] * velocity).norm(dim=-1)
+    touched = (share_kept < 5 / 7 - TOLERANCE) | (share_kept > 1 + TOLERANCE) | (aside > TOLERANCE)
     corrected = replace(cd, velocity=torch.where(touched[..., None], velocity, read))
     add("the same, but true where a ball touches something in it", corrected)
     Console(width=120).print(table)
@@ -85,7 +85,5 @@ def velocities_of_first_frame(ab: Spheres, reached: Tensor, arena: Arena) -> Ten
 
 if __name__ == "__main__":
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "data_dir", nargs="?", type=Path, default=Path(folder("COPHY_DATA")), help="where the dataset lies"
-    )
+    parser.add_argument("--data-dir", type=Path, default=Path(folder("COPHY_DATA")), help="where the dataset lies")
     main(**vars(parser.parse_args()))

@@ -1,7 +1,7 @@
 """Results that stay when outputs/ go: python benchmarks/results/keep_results.py [outputs [table.csv]]
 
 Adds every finished run to docs/results/results.csv, with the commit of this checkout, and with its share of the possible gain where
-both oracles of its test data are known: from oracles.csv beside the table, to which the errors of oracles among the runs are
+both oracles of its test data are known: from oracles.csv next to the table, to which the errors of oracles among the runs are
 added. A run that is in the table already (the same names, data and epochs) is replaced, but no training
 by a test of given weights (predictor=), whose commit is that of the test. One that was not made again keeps its commit. Run it
 before the code changes: no file of src/ or conf/ may differ from the commit.
@@ -12,11 +12,11 @@ import sys
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from cophy.atomic_files import write_atomically
 from cophy.config import folder
+from cophy.report.paper_tables import TRUE_POSITIONS
 from cophy.report.predictions import stored_scores
 from cophy.report.runs import read_line
 from cophy.report.tables import share_of_gain
@@ -51,20 +51,19 @@ COLUMNS = [
 def main(outputs: Path, table: Path) -> None:
     """Read, merge, sort, write."""
     commit = committed()
-    found = pd.DataFrame([line_of(path, commit) for path in sorted(outputs.glob(f"*/*/*/*/*/seed*/{METRICS}"))])
-    if found.empty:
+    runs = pd.DataFrame([line_of(path, commit) for path in sorted(outputs.glob(f"*/*/*/*/*/seed*/{METRICS}"))])
+    if runs.empty:
         sys.exit(f"{outputs}: no finished runs")
-    found[SHARE] = np.nan
-    predictors = found[(found["positions"] == "ground_truth") & ~found["model"].str.startswith("derenderer")]
+    predictors = runs[(runs["positions"] == TRUE_POSITIONS) & (runs["model"] != "derenderer")]
     ends = errors_of_oracles(predictors, table.with_name(ERRORS))
-    found.loc[predictors.index, SHARE] = shares(predictors, ends)
+    runs = runs.join(pd.DataFrame(shares(predictors, ends), predictors.index, SHARE))
     before = [pd.read_csv(table, keep_default_na=False, dtype=str)] if table.exists() else []
-    merged = pd.concat([*before, found.reindex(columns=COLUMNS).map(as_text)], ignore_index=True).fillna("")
+    merged = pd.concat([*before, runs.reindex(columns=COLUMNS).map(as_text)], ignore_index=True).fillna("")
     merged["commit"] = merged.groupby(SAME_RUN)["commit"].transform("first")
-    trained_last = merged.sort_values("predictor", key=lambda given: given == "", kind="stable")
-    kept = trained_last.drop_duplicates(KEY, keep="last").sort_values(KEY)[COLUMNS]
-    write_atomically(table, kept.to_csv(index=False).encode())
-    print(f"{table}: {len(found)} runs of commit {commit}, {len(kept)} in all")
+    trained_last = merged.sort_values("predictor", key=lambda predictor: predictor == "", kind="stable")
+    rows = trained_last.drop_duplicates(KEY, keep="last").sort_values(KEY)[COLUMNS]
+    write_atomically(table, rows.to_csv(index=False).encode())
+    print(f"{table}: {len(runs)} runs of commit {commit}, {len(rows)} in all")
 
 
 def committed() -> str:
@@ -84,8 +83,8 @@ def line_of(path: Path, commit: str) -> dict[str, object]:
         for end, kind in (("", "metrics"), ("_low", "low"), ("_high", "high"))
     }
     ids = line["dataset_ids"]
-    names = {"datasets": " ".join(ids), "test_dataset": ids[-1], "max_epochs": line["epochs"], "commit": commit}
-    return line | measures | names
+    columns = {"datasets": " ".join(ids), "test_dataset": ids[-1], "max_epochs": line["epochs"], "commit": commit}
+    return line | measures | columns
 
 
 def errors_of_oracles(predictors: pd.DataFrame, file: Path) -> pd.DataFrame:
@@ -109,12 +108,10 @@ def errors_of_oracles(predictors: pd.DataFrame, file: Path) -> pd.DataFrame:
 
 def shares(predictors: pd.DataFrame, errors: pd.DataFrame) -> list[list[float]]:
     """The share of each run with its interval, of the experiments that the oracles were asked about; NaN without both oracles."""
-    oracles = {
-        key: Scores(
-            of["experiment"].to_numpy(), of["cluster"].to_numpy(), of["truth"].to_numpy(), {"mse": of["mse"].to_numpy()}
-        )
-        for key, of in errors.groupby(ENDS_KEY)
-    }
+    oracles = {}
+    for key, part in errors.groupby(ENDS_KEY):
+        experiment, cluster, truth, mse = (part[name].to_numpy() for name in PER_EXPERIMENT)
+        oracles[key] = Scores(experiment, cluster, truth, {"mse": mse})
     rows = []
     for run in predictors.to_dict("records"):
         keys = [(*(run[name] for name in TESTED), model) for model in ENDS]

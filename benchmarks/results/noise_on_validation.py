@@ -30,16 +30,18 @@ def main(derenderer: Path, predictors: list[Path], data_dir: Path) -> None:
     arrays = {name: array[:NUM_EXPERIMENTS] for name, array in data.arrays.items()}
     batch = to_batch(arrays, data.scenario)
     inputs = estimated_inputs(estimates(trained, arrays, data.scenario), data.scenario)
-    found = (inputs.presence == batch.inputs.presence).all(dim=1)
+    has_same_objects = (inputs.presence == batch.inputs.presence).all(dim=1)
     error = (inputs.initial - batch.inputs.initial)[batch.inputs.presence & inputs.presence].norm(dim=-1).mean()
     print(
-        f"{len(found)} validation experiments, {found.sum()} with all objects of C found; mean error in C {error:.3f} m"
+        f"{len(has_same_objects)} validation experiments, {has_same_objects.sum()} with the right objects in C; mean error in C {error:.3f} m"
     )
     squared_error = mean_squared_error(data.scenario.task.metric_dims)
     for path in predictors:
         network = cophy.load_predictor(path).network
         with torch.no_grad():
-            true, estimated = (squared_error(network(each), batch.targets)[found] for each in (batch.inputs, inputs))
+            true, estimated = (
+                squared_error(network(each), batch.targets)[has_same_objects] for each in (batch.inputs, inputs)
+            )
         print(f"{path}: true positions {true.mean():.4f} m², estimated {estimated.mean():.4f} m²")
 
 

@@ -1,7 +1,7 @@
 """What model=hypotheses reads off AB: python benchmarks/results/weigh_hypotheses.py CHECKPOINT [--num-objects K] [--data-dir FOLDER]
 
 Prints the MSE of D with the weights that AB gives to the hypotheses, with equal weights, and with the true masses and gravity alone; and
-the energy score of draws by the weights beside that of their mean. Draws do not vary within a hypothesis. Test split of size=small, data
+the energy score of draws by the weights next to that of their mean. Draws do not vary within a hypothesis. Test split of size=small, data
 seed 0; half a minute.
 """
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import cophy
-from cophy.config import generated_by, settings
+from cophy.config import folder, generated_by, settings
 from cophy.dataset.datamodules import ExperimentDataset
 from cophy.dataset.difficulty import twin_differences
 from cophy.dataset.splits import SPLITS
@@ -283,7 +283,7 @@ def save(path: Path, figure: Figure) -> None:
 if __name__ == "__main__":
     parser = ArgumentParser(description="Draw experiments and predictions.")
     parser.add_argument("--size", default="small", help="size of the datasets (default: small)")
-    parser.add_argument("--data-dir", default="data", type=Path, help="where datasets are kept (default: data)")
+    parser.add_argument("--data-dir", default=Path(folder("COPHY_DATA")), type=Path, help="where datasets are kept")
     options = parser.parse_args()
     datasets = load(options.size, options.data_dir)
     for name, dataset in datasets.items():

@@ -94,7 +94,7 @@ def test_published_weights_are_tested_on_positions_of_published_derenderers(repr
     assert changed("3to3_unseen", "cophynet") == derenderer  # there are no weights with this training
     assert changed("3to4", "cophynet") == {"predictor=checkpoints/blocktower_3to3_cophynet.ckpt"}  # it saw three blocks
     assert changed("4to2", "cophynet") == {"predictor=checkpoints/balls_4to4_cophynet.ckpt"}
-    assert {job.row[6] for job in jobs.values() if job.row[:2] == ("balls", "4to4")} == {
+    assert {job.row[-1] for job in jobs.values() if job.row[:2] == ("balls", "4to4")} == {
         "+derenderer-checkpoints_balls_derenderer.ckpt"  # the variant of the rows in results.csv
     }
     at_paper = [key for job in reproduce.estimated_jobs("paper") for key in job.command]

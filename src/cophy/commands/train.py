@@ -94,6 +94,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     from cophy.training.checkpoints import build_network, make_origin
     from cophy.training.reuse import fingerprint, hash_code, record_finished
     from cophy.training.trainer import (
+        check_devices,
         finishing,
         fit,
         log_results,
@@ -121,12 +122,13 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     arguments = plain["trainer"] | {"max_epochs": num_epochs(config, network)}
     figures = module.make_figures(config.figures_every_n_epochs)
     trainer = make_trainer(run, origin, figures, loggers=config.logger, arguments=arguments)
+    check_devices(trainer, module)
     code = hash_code(network, getattr(module, "position_loss", None))
 
     with finishing(trainer.loggers):
         data.prepare_data()
         data.setup()
-        start_processes(trainer, module)
+        start_processes(trainer)
         training_hash = fingerprint(
             origin,
             max_epochs=arguments["max_epochs"],

@@ -189,8 +189,7 @@ class TrainedPredictor:
     Attributes:
         source: The checkpoint.
         scenario: The scenario of its training data.
-        size: Name of their size. Test it on data of this size: most test experiments of another size were training
-            experiments of this one.
+        size: Name of their size.
         data_seed: Their seed.
         positions: Where its training positions come from, see conf/train.yaml.
         appearance: What it sees besides positions: object_type, pose.

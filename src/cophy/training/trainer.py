@@ -156,11 +156,11 @@ def restoring(trainer: L.Trainer, ckpt: Path | None) -> Iterator[None]:
         raise misfit(ckpt, error) from error
 
 
-def start_processes(trainer: L.Trainer, module: nn.Module) -> None:
-    """Start the processes of the other devices and wait until they have come as far as this one.
+def check_devices(trainer: L.Trainer, module: nn.Module) -> None:
+    """Check whether a module can be trained on the devices of a trainer, before data are generated.
 
     Raises:
-        CophyError: They cannot be started this way, or the module cannot be trained on several devices.
+        CophyError: It needs whole batches, or processes for several devices cannot be started this way.
     """
     if trainer.world_size == 1:
         return
@@ -179,6 +179,18 @@ def start_processes(trainer: L.Trainer, module: nn.Module) -> None:
             "a sweep (-m) cannot start runs on several devices by itself: use one command for each run, "
             "or hydra/launcher=slurm with hydra.launcher.tasks_per_node= as many as devices"
         )
+
+
+def start_processes(trainer: L.Trainer) -> None:
+    """Start the processes of the other devices, if any, and wait until they have come as far as this one.
+
+    Raises:
+        CophyError: A cluster started another number of processes.
+    """
+    if trainer.world_size == 1:
+        return
+    strategy = trainer.strategy
+    assert strategy.launcher is not None  # see `check_devices`
     os.environ.setdefault("OMP_NUM_THREADS", str(torch.get_num_threads()))  # otherwise Lightning changes it
     try:
         strategy.launcher.launch(strategy.setup_environment)
