@@ -1,19 +1,30 @@
 """Comparisons of methods: the statistics against closed forms and by simulation, and what is printed and written."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from hydra.errors import HydraException
 from scipy.stats import false_discovery_control, kstest, ttest_1samp, ttest_ind
+from scipy.stats import t as student_t
 
 from cophy.bootstrap import Ratio
 from cophy.cli import explain
 from cophy.config import settings
 from cophy.errors import CophyError
-from cophy.report.comparisons import _signed, compare_methods, count_tables, difference, write_comparisons
+from cophy.report.comparisons import (
+    _signed,
+    compare_methods,
+    comparison_tables,
+    count_tables,
+    difference,
+    write_comparisons,
+)
+from cophy.report.runs import PLACE as FOLDERS
 from cophy.scoring import Scores
 from tests.report.lines import scores_of_mse
 from tests.report.stored_runs import PLACE, content, leave
@@ -128,6 +139,103 @@ def test_other_experiments_are_not_compared(tmp_path: Path, caplog: pytest.LogCa
     with pytest.raises(CophyError, match="no two of"):
         compare_methods(tmp_path, ["cophynet", "copy_c"])
     assert "CoPhyNet and Copy C were tested on different experiments" in " ".join(caplog.text.split())
+
+
+CLUSTERS = 20
+
+
+def mean_with(p: float) -> np.ndarray:
+    """Values whose mean is above 0, with this p-value of a two-sided t test."""
+    values = np.tile([-1.0, 1.0], CLUSTERS // 2)
+    return values + student_t.isf(p / 2, CLUSTERS - 1) * values.std(ddof=1) / CLUSTERS**0.5
+
+
+def both_measures(mse: np.ndarray | float, explained: np.ndarray | float = 0.0, truth: float = 0.0) -> Scores:
+    index, zeros = np.arange(CLUSTERS), np.zeros(CLUSTERS)
+    values = {"mse": zeros + mse, "twin_difference_explained": Ratio(zeros + explained, zeros + 1.0)}
+    return Scores(index, index, zeros + truth, values)
+
+
+@pytest.fixture
+def leave_scores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """A function that leaves a run whose predictions have these scores."""
+    scores_of: dict[Path, Scores] = {}
+    monkeypatch.setattr("cophy.report.comparisons.stored_scores", lambda run: scores_of[run["directory"]])
+
+    def leave_run(scores: Scores, **names: Any) -> None:
+        metrics = content(**{"variant": ""} | names)
+        directory = tmp_path.joinpath(*(metrics[name] for name in FOLDERS))
+        directory /= f"seed{metrics['seed']}{metrics['variant']}"
+        leave(directory, json.dumps(metrics))
+        scores_of[directory] = scores
+
+    return leave_run
+
+
+def outcomes(frame: pd.DataFrame, measure: str) -> list[int]:
+    return frame[frame["measure"] == measure]["outcome"].tolist()
+
+
+@pytest.mark.parametrize("measure", ["mse", "twin_difference_explained"])
+def test_the_better_method_wins_whether_or_not_higher_is_better(
+    measure: str, leave_scores: Callable[..., None], tmp_path: Path
+) -> None:
+    """CoPhyNet is better than IN in two columns and equal to it in the third."""
+    for split, better in (("3to3", 1.0), ("3to4", 1.0), ("4to4", 0.0)):
+        leave_scores(both_measures(2.0 - better, 1.0 + better), model="cophynet", split=split)
+        leave_scores(both_measures(2.0, 1.0), model="in", split=split)
+    for names, expected in ((["cophynet", "in"], [1, 1, 0]), (["in", "cophynet"], [-1, -1, 0])):
+        frame = compare_methods(tmp_path, names)
+        assert outcomes(frame, measure) == expected
+        (table,) = count_tables(frame[frame["measure"] == measure])
+        assert table.cells.loc["CoPhyNet", "IN"].ours == "2 / 1 / 0"
+        assert table.cells.loc["IN", "CoPhyNet"].ours == "0 / 1 / 2"
+
+
+def test_a_difference_that_the_correction_removes_is_a_tie(leave_scores: Callable[..., None], tmp_path: Path) -> None:
+    """Each measure is corrected for its own tests alone."""
+    p = {"mse": [0.04, 0.5, 0.9], "twin_difference_explained": [0.01, 0.02, 0.03]}
+    for split, *both in zip(("3to3", "3to4", "4to4"), *p.values(), strict=True):
+        leave_scores(both_measures(*map(mean_with, both)), model="cophynet", split=split)
+        leave_scores(both_measures(0.0), model="in", split=split)
+    frame = compare_methods(tmp_path, ["cophynet", "in"])
+    for measure, values in p.items():
+        lines = frame[frame["measure"] == measure]
+        assert lines["p"].tolist() == pytest.approx(values)
+        assert lines["p_adjusted"].tolist() == pytest.approx(false_discovery_control(values))
+    assert (outcomes(frame, "mse"), outcomes(frame, "twin_difference_explained")) == ([0, 0, 0], [1, 1, 1])
+    printed = [table.cells.map(lambda cell: cell.ours) for table in comparison_tables(frame)]
+    assert [table["difference"].str.endswith("*").tolist() for table in printed] == [[False] * 3, [True] * 3]
+    assert printed[0]["p"].tolist() == ["0.120", "0.750", "0.900"]
+
+
+def test_rows_of_tables_are_names_of_methods(leave_scores: Callable[..., None], tmp_path: Path) -> None:
+    leave_scores(both_measures(1.0), model="in", ablation="gt_confounders")
+    leave_scores(both_measures(2.0), model="in")
+    for name in ("in_sup", "in_gt_confounders"):
+        frame = compare_methods(tmp_path, [name, "in"])
+        assert frame[["method", "other"]].drop_duplicates().to_numpy().tolist() == [["IN with true confounders", "IN"]]
+
+
+def test_each_data_seed_is_a_column(leave_scores: Callable[..., None], tmp_path: Path) -> None:
+    for model, better in (("cophynet", 1.0), ("in", 0.0)):
+        leave_scores(both_measures(2.0 - better), model=model)
+        leave_scores(both_measures(4.0 + better, truth=1.0), model=model, variant="+data_seed-1")
+    frame = compare_methods(tmp_path, ["cophynet", "in"])
+    assert outcomes(frame, "mse") == [1, -1]
+    table, _ = comparison_tables(frame)
+    assert table.cells.index.tolist() == ["blocktower 3→3", "blocktower 3→3 data seed 1"]
+
+
+def test_seeds_that_were_tested_on_different_data_are_not_compared(
+    leave_scores: Callable[..., None], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    leave_scores(both_measures(2.0), model="copy_c")
+    for seed in (0, 1):
+        leave_scores(both_measures(1.0, truth=float(seed)), model="cophynet", seed=seed)
+    with pytest.raises(CophyError, match="no two of cophynet, copy_c were tested on the same experiments"):
+        compare_methods(tmp_path, ["cophynet", "copy_c"])
+    assert "its seeds were tested on different data: not compared" in " ".join(caplog.text.split())
 
 
 def test_wins_ties_and_losses_are_those_of_corrected_tests() -> None:
