@@ -30,10 +30,8 @@ def origin_of(**trainer: Any) -> dict[str, Any]:
 ORIGIN = origin_of()
 
 
-def fingerprint_of(
-    origin: dict[str, Any] = ORIGIN, code: str = "code", checksums: Any = CHECKSUMS, max_epochs: int = 40
-) -> str:
-    return fingerprint(origin, max_epochs=max_epochs, threads=1, code=code, checksums=checksums)
+def fingerprint_of(origin: dict[str, Any] = ORIGIN, **changes: Any) -> str:
+    return fingerprint(origin, **{"max_epochs": 40, "threads": 1, "code": "code", "checksums": CHECKSUMS} | changes)
 
 
 @pytest.mark.parametrize("changes", [{"enable_progress_bar": False}, {"limit_test_batches": 1}])
@@ -48,11 +46,22 @@ def test_what_changes_weights_counts() -> None:
         fingerprint_of(ORIGIN | {"model": {**ORIGIN["model"], "hidden_dim": 8}}),
         fingerprint_of(ORIGIN | {"training": {**ORIGIN["training"], "learning_rate": 1.0}}),
         fingerprint_of(ORIGIN | {"seed": 1}),
+        fingerprint_of(origin_of(gradient_clip_val=0.5)),
         fingerprint_of(max_epochs=1),
+        fingerprint_of(threads=2),
         fingerprint_of(code="edited"),
         fingerprint_of(checksums={"3-tiny": {"0.h5": "other"}}),
     ]
-    assert len({fingerprint_of(), *others}) == 8
+    assert len({fingerprint_of(), *others}) == 10
+
+
+def test_the_weights_that_a_training_starts_from_count_and_their_name_does_not(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("best.ckpt", "copy_of_best.ckpt", "last.ckpt")]
+    for path, text in zip(paths, ("weights", "weights", "others"), strict=True):
+        path.write_text(text)
+    best, copy, last = (fingerprint_of(resumed_from=path) for path in paths)
+    assert best == copy
+    assert len({fingerprint_of(), best, last}) == 3
 
 
 def edit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
