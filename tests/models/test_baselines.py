@@ -83,12 +83,26 @@ def test_displaced_copy_b_shifts_what_the_do_operation_displaces(inputs: Inputs)
 
 @pytest.mark.parametrize("angle", [0.0, 0.5, -2.0])
 @pytest.mark.parametrize("offset", [0.0, 0.6, -0.6])
-def test_replay_of_an_impact_without_friction_is_exact(offset: float, angle: float) -> None:
-    """AB is head-on; in C the objects touch later and, with an offset, obliquely."""
-    (observed, _), (truth, contact) = impact(0.0, angle), impact(offset, angle, ahead=2.5)
+@pytest.mark.parametrize("observed_offset", [0.0, 0.6])
+def test_replay_of_an_impact_without_friction_is_exact(observed_offset: float, offset: float, angle: float) -> None:
+    """In C the objects touch later than in AB. With an offset, the impact is oblique."""
+    (observed, _), (truth, contact) = impact(observed_offset, angle), impact(offset, angle, ahead=2.5)
     assert contact == 3
     prediction = Replay(**REPLAY)(collision_inputs(observed, truth[0])).position[0]
     torch.testing.assert_close(prediction, truth[1:], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(("observed_offset", "kept"), [(0.0, 0.5), (0.2, 0.75), (0.6, 0.95)])
+def test_replay_weighs_ab_against_the_prior_by_the_angle_of_impact(observed_offset: float, kept: float) -> None:
+    """In AB, the moving object keeps its speed across the line of centres; in the prior, it keeps half of it.
+
+    Both have the same weight if the sine of the angle is the shrinkage, 0.2.
+    """
+    (observed, _), (truth, contact) = impact(observed_offset), impact(0.6, ahead=2.5)
+    prediction = Replay(**REPLAY | {"kept_speed": 0.5})(collision_inputs(observed, truth[0])).position[0]
+    moved, expected = prediction[:, 2] - truth[contact, 2], truth[1:, 2] - truth[contact, 2]
+    torch.testing.assert_close(moved[contact:], kept * expected[contact:], atol=1e-5, rtol=0)
+    torch.testing.assert_close(prediction[:, 1], truth[1:, 1], atol=1e-5, rtol=0)
 
 
 def test_replay_without_an_impact(inputs: Inputs) -> None:
