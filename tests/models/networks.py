@@ -47,7 +47,7 @@ ALONGSIDE = {
     "pose": False,
 }
 NEAR = {"radius": 2.0}  # metres; some random objects are nearer, some are not
-TRUE = {"confounders": "ground_truth"}
+TRUE, WITHOUT_POSE = {"confounders": "ground_truth"}, {"confounders": "without_pose"}
 COPHYNETS: dict[str, dict[str, Any]] = {
     "cophynet": {},
     "static_gating": {"gating": "static"},
@@ -55,8 +55,15 @@ COPHYNETS: dict[str, dict[str, Any]] = {
     "single_step": {"decoding": "single_step", "num_frames": NUM_FRAMES},
     "feedforward": {"confounders": "none"},
     "cophynet_true": TRUE,
+    "cophynet_without_pose": WITHOUT_POSE,
 }
-INTERACTION_NETWORKS: dict[str, dict[str, Any]] = {"in": {}, "npe": NEAR, "in_true": TRUE, "npe_true": NEAR | TRUE}
+INTERACTION_NETWORKS: dict[str, dict[str, Any]] = {
+    "in": {},
+    "npe": NEAR,
+    "in_true": TRUE,
+    "in_without_pose": WITHOUT_POSE,
+    "npe_true": NEAR | TRUE,
+}
 ALONGSIDES: dict[str, dict[str, Any]] = {
     "alongside": {},
     "alongside_walls": {"arena_half_width": 2.0},

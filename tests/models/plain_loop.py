@@ -10,7 +10,7 @@ from torch.nn.functional import linear
 from cophy.models import InteractionNetwork
 from cophy.models.cophynet import ConfounderSource, CoPhyNet, Gating, Rollout
 from cophy.models.layers import GraphConvolution, PairwiseMLP
-from cophy.types import Inputs, Prediction, take
+from cophy.types import CONFOUNDERS, Inputs, Prediction, take
 
 Nodes = dict[int, Tensor]  # slot of a present object -> its features
 
@@ -60,6 +60,8 @@ def cophynet(network: CoPhyNet, inputs: Inputs) -> tuple[Tensor, Tensor, Tensor 
         u = estimate(network, inputs)
     if network.source is ConfounderSource.ground_truth:
         u = {k: inputs.confounders[0, k] for k in u}
+    if network.source is ConfounderSource.without_pose:
+        u = {k: inputs.confounders[0, k, : CONFOUNDERS.index("cylinder")] for k in u}
     features = appearance(network, inputs)
     constant = {k: torch.cat([u[k], features[k]]) for k in u}
     start = {k: inputs.initial[0, k] for k in present(inputs.presence)}

@@ -8,7 +8,7 @@ import torch
 from cophy.models.gns import MessagePassing
 from cophy.models.layers import radius_graph
 from cophy.training.losses import position_loss, stability_loss
-from cophy.types import Batch, map_tensors, take
+from cophy.types import CONFOUNDERS, Batch, map_tensors, take
 from tests.models.networks import (
     COPHYNETS,
     INTERACTION_NETWORKS,
@@ -105,7 +105,7 @@ def test_double_precision_stays(name: str, batch: Batch) -> None:
     assert build(name).double()(inputs).position.dtype == torch.float64
 
 
-@pytest.mark.parametrize("name", ["feedforward", "in", "npe", "cophynet_true", "in_true"])
+@pytest.mark.parametrize("name", ["feedforward", "in", "npe", "cophynet_true", "cophynet_without_pose", "in_true"])
 def test_models_without_ab_ignore_it(name: str, batch: Batch) -> None:
     network, inputs = build(name, **SEES_APPEARANCE), batch.inputs
     blind = replace(inputs, observed=torch.zeros_like(inputs.observed))
@@ -122,11 +122,29 @@ def test_counterfactual_models_read_ab(name: str, batch: Batch) -> None:
 @pytest.mark.parametrize("name", TRAINED)
 def test_only_models_with_true_confounders_need_them(name: str, batch: Batch) -> None:
     network, without = build(name), replace(batch.inputs, confounders=None)
-    if name.endswith("_true"):
+    if name.endswith(("_true", "_without_pose")):
         with pytest.raises(ValueError, match="true confounders are not among the inputs"):
             network(without)
     else:
         torch.testing.assert_close(network(without).position, network(batch.inputs).position)
+
+
+@pytest.mark.parametrize("model", ["cophynet", "in"])
+def test_confounders_without_pose_are_those_before_the_shape(model: str, batch: Batch) -> None:
+    """A change of any column changes the prediction of a model that sees it."""
+    inputs, present = batch.inputs, batch.inputs.observed_presence
+    for column, confounder in enumerate(CONFOUNDERS):
+        changed = inputs.confounders.clone()
+        changed[..., column] += present
+        seen = {
+            name: not torch.equal(
+                build(f"{model}_{name}")(replace(inputs, confounders=changed)).position,
+                build(f"{model}_{name}")(inputs).position,
+            )
+            for name in ("true", "without_pose")
+        }
+        is_pose = confounder in ("cylinder", "axis_x", "axis_y", "axis_z")
+        assert seen == {"true": True, "without_pose": not is_pose}
 
 
 @pytest.mark.parametrize("name", DECLARE_APPEARANCE)
