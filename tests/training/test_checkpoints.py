@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from cophy.config import composed, to_plain
+from cophy.dataset.spec import FORMAT_VERSION
 from cophy.errors import CophyError
 from cophy.training.checkpoints import (
     MAX_VALUES,
@@ -321,6 +322,36 @@ def test_only_what_a_training_continues_from_is_restored(tmp_path: Path) -> None
 def test_classes_of_other_packages_are_not_restored() -> None:
     with pytest.raises(CophyError, match=r"whose code runs only if you name it"):
         restored({"_target_": f"{__name__}.Keep", "value": 1}, {})
+
+
+@pytest.mark.parametrize("lacks", [(), ("format",), ("format", "seed", "trainer", "source")])
+def test_checkpoints_of_data_of_earlier_formats_are_refused(lacks: tuple[str, ...], tmp_path: Path) -> None:
+    """Format 3 is that of checkpoints that do not state theirs."""
+    model = model_of("model=in")
+    path = saved(tmp_path / "earlier.ckpt", model, weights_of(model), format=3)
+    content = torch.load(path, weights_only=True)
+    for key in lacks:
+        del content["origin"][key]
+    torch.save(content, path)
+    now = rf"now {FORMAT_VERSION}\): train it again \(docs/reference/upgrading\.md\)"
+    with pytest.raises(CophyError, match=rf"earlier\.ckpt was trained by an earlier version \(data of format 3, {now}"):
+        read_checkpoint(read_file(path), path)
+
+
+def test_the_format_of_generated_data_does_not_matter_to_released_data(tmp_path: Path) -> None:
+    model = model_of("model=in")
+    path = saved(tmp_path / "released.ckpt", model, weights_of(model), format=3, source={"name": "cophy"})
+    assert read_checkpoint(read_file(path), path).origin["model"] == model
+
+
+def test_a_checkpoint_with_a_format_states_all_keys(tmp_path: Path) -> None:
+    model = model_of("model=in")
+    path = saved(tmp_path / "partial.ckpt", model, weights_of(model))
+    content = torch.load(path, weights_only=True)
+    del content["origin"]["seed"]
+    torch.save(content, path)
+    with pytest.raises(CophyError, match=r"partial\.ckpt .*\(key seed is missing or unknown\)"):
+        read_checkpoint(read_file(path), path)
 
 
 def test_checkpoints_of_earlier_versions_are_of_the_mse(tmp_path: Path) -> None:
