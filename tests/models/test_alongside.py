@@ -47,6 +47,20 @@ def test_heights_are_clipped() -> None:
     torch.testing.assert_close(features[0, :, 0], torch.tensor([0.5, MAX_HEIGHT_M, MAX_HEIGHT_M]))
 
 
+def test_a_step_counts_beyond_a_wall_from_where_the_object_touches_it() -> None:
+    """Walls are 2 m from the origin, and a centre touches them half the reach before. Mirrored objects have mirrored features."""
+    ego, inputs = EgoFeatures(2.0, Appearance(object_type=False, pose=False)), random_batch(1, [2]).inputs
+    position, motion = torch.tensor([1.4, -1.4, 0.5]), torch.tensor([0.3, -0.7, 0.0])
+    mirror = torch.tensor([-1.0, -1.0, 1.0])
+    both = (torch.stack([each, mirror * each])[None] for each in (position, motion))
+    features = ego.compute(*both, torch.tensor(0.8), inputs)[0, :, 4:]
+    assert ego.width == 4 + features.shape[-1]
+    expected = torch.tensor([0.7, -0.7, 0.1, -0.5])
+    torch.testing.assert_close(features, torch.stack([expected, -expected]))
+    still = ego.compute(position[None, None], torch.zeros(1, 1, 3), torch.tensor(0.8), inputs)[0, 0, 4:]
+    torch.testing.assert_close(still, torch.tensor([0.7, -0.7, 0.0, 0.0]))
+
+
 def longest_step(position: torch.Tensor, inputs: Inputs) -> float:
     """Return the longest displacement of a present object in one step, metres."""
     path = torch.cat([inputs.initial[:, None], position.detach()], dim=1)

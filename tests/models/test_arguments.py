@@ -15,7 +15,10 @@ from tests.models.test_baselines import REPLAY
 from tests.models.test_spheres import ARGUMENTS
 
 MODELS: dict[str, Callable[..., nn.Module]] = {
-    **{name: partial(networks.build, name) for name in ("alongside", "cophynet", "hypotheses", "npe")},
+    **{
+        name: partial(networks.build, name)
+        for name in ("alongside", "cophynet", "single_step", "gns", "transformer", "hypotheses", "npe")
+    },
     "derenderer": lambda **key: Derenderer(
         **{"slots": ["red"], "resolution": 32, "width": 4, "readout": "linear"} | key
     ),
@@ -42,6 +45,24 @@ REFUSED: dict[str, list[tuple[str, Any, str]]] = {  # key, value, and the rest o
         ("confounders", "guessed", "must be one of estimated, ground_truth, without_pose, none"),
         ("interaction", "mlp", "needs model.slots"),
         ("decoding", "single_step", "needs model.num_frames"),
+    ],
+    "single_step": [("gating", "static", "model.gating has no effect with model.decoding=single_step")],
+    "gns": [
+        ("hidden_dim", 0, "must be at least 1"),
+        ("message_steps", 0, "must be at least 1"),
+        ("num_velocities", 0, "must be at least 1"),
+        ("estimate_dim", 0, "must be at least 1"),
+        ("gru_layers", 0, "must be at least 1"),
+        ("edge_layers", 1, "must be at least 2"),
+        ("node_layers", 1, "must be at least 2"),
+        ("max_step", 0.0, "must be positive"),
+        ("arena_half_width", -1.0, "must be positive"),
+    ],
+    "transformer": [
+        ("hidden_dim", 0, "must be a multiple of 6, twice model.num_heads"),
+        ("hidden_dim", 27, "must be a multiple of 6, twice model.num_heads"),
+        ("num_heads", 0, "must be at least 1"),
+        ("num_layers", 0, "must be at least 1"),
     ],
     "hypotheses": [
         ("hidden_dim", 0, "must be at least 1"),
