@@ -100,6 +100,55 @@ def test_settings_compete_by_validation_and_many_are_left_to_their_sweep() -> No
     assert "best by validation" in table.caption
 
 
+def test_the_best_share_is_the_greatest() -> None:
+    """CoPhyNet has the lowest MSE, and drift explains most."""
+    shares = [("cophynet", 0.2, 0.4), ("drift", 0.3, 0.6), ("npe", 0.5, 0.5)]
+    lines = [measured("twin_difference_explained", share, name) | {"metrics.mse": mse} for name, mse, share in shares]
+    bold = {table.caption.partition("Bold: ")[2].split()[0]: table.cells for table in tables(*lines)}
+    best = {word: [name for name, cell in cells["3→3"].items() if cell.best] for word, cells in bold.items()}
+    assert best == {"lowest": ["CoPhyNet"], "highest": ["drift"]}
+
+
+def test_without_validation_the_unchanged_method_competes() -> None:
+    settings = [changed(0.1, "drift", scale=1), measured("mse", 0.4, "drift"), changed(0.2, "drift", scale=2)]
+    assert best_of(measured("mse", 0.3, "cophynet"), *settings) == ["CoPhyNet"]
+    assert best_of(measured("mse", 0.5, "cophynet"), *settings) == ["drift"]
+
+
+def test_a_note_says_which_runs_and_experiments_a_cell_lacks() -> None:
+    (table,) = tables(
+        measured("mse", 0.3, "cophynet"),
+        run("cophynet", seed=1, error="boom"),
+        measured("mse", 0.4, "npe", num_test=100),
+        measured("mse", 0.4, "npe", split="3to4", num_test=100),  # as many as any method has
+    )
+    assert texts(table)["3→3"].to_dict() == {
+        "NPE": "0.400 [0.390, 0.420] (first 100)",
+        "CoPhyNet": "0.300 [0.290, 0.320] (1 failed)",
+    }
+    assert texts(table).loc["NPE", "3→4"] == "0.400 [0.390, 0.420]"
+
+
+def test_methods_of_the_user_follow_those_of_the_paper_and_oracles_are_last() -> None:
+    names = ("oracle_counterfactual", "a_model", "noise_floor_rate", "cophynet", "oracle_feedforward", "copy_c")
+    (table,) = tables(*(measured("mse", 0.1, name) for name in names))
+    titles = [method_title(name) for name in names]
+    assert list(table.cells.index[:3]) == ["Copy C", "CoPhyNet", "a_model"]
+    assert set(table.cells.index[3:]) == {titles[0], titles[2], titles[4]}
+
+
+def test_captions_say_what_all_trainings_change() -> None:
+    shared = (("training.learning_rate", "0.01"),)
+    lines = [measured("mse", 0.1, "in", changes=shared, variant="+learning_rate-0.01")]
+    lines.append(measured("mse", 0.2, "npe", changes=(*shared, ("model.radius", "2")), variant="+learning_rate-0.01+r"))
+    (table,) = tables(*lines, measured("mse", 0.9, "copy_c", is_trained=False))
+    assert "All trainings: training.learning_rate=0.01." in table.caption
+    assert list(table.cells.index) == ["Copy C", "IN", "NPE (radius=2)"]
+    (table,) = tables(*lines, measured("mse", 0.3, "cophynet"))
+    assert "All trainings" not in table.caption
+    assert "IN (learning_rate=0.01)" in table.cells.index
+
+
 def test_what_all_trainings_change_is_in_no_label() -> None:
     epochs = {"variant": "+max_epochs-5", "changes": (("trainer.max_epochs", "5"),), "epochs": 5}
     (table,) = tables(
