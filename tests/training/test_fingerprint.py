@@ -1,5 +1,6 @@
 """Which trainings are the same: the fingerprint, and what is found in a run's directory."""
 
+import json
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -17,6 +18,7 @@ from cophy.training.instantiation import instantiate_function
 from cophy.training.losses import MSE
 from cophy.training.reuse import fingerprint, hash_code, record_finished, start_training
 from cophy.training.run import Run
+from tests.conftest import refused
 from tests.models.networks import build
 
 PLAIN = to_plain(composed("train"))
@@ -279,6 +281,37 @@ def test_a_damaged_note_is_named_and_its_checkpoints_are_kept(run: Run) -> None:
     path = run.checkpoints / "finished.json"
     path.write_text(path.read_text()[:9])
     with pytest.raises(CophyError, match=r"finished\.json is damaged"):
+        start_training(run, "same", reuse=True, ckpt=None, code="new")
+    assert (run.checkpoints / "best.ckpt").read_text() == "weights"
+
+
+@pytest.mark.parametrize("name", ["best.ckpt", "last.ckpt"])
+@pytest.mark.parametrize("split", ["4to4", "4to3"])
+def test_a_training_without_both_checkpoints_is_not_finished(name: str, split: str, run: Run, tmp_path: Path) -> None:
+    leave_checkpoints(run)
+    record_finished(run, "same", FACTS | CODE)
+    (run.checkpoints / name).unlink()
+    start = start_training(make_run(tmp_path, split), "same", reuse=True, ckpt=None, code="new")
+    assert (start.finished, start.checkpoint) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "wrong"),
+    [
+        ("finished.json", {"fingerprint": 1}, "fingerprint"),
+        ("finished.json", {"training_seconds": "3", "validation": []}, "training_seconds, validation"),
+        ("finished.json", {"resumed": None}, "resumed"),
+        ("begun.json", {"fingerprint": None}, "fingerprint"),
+        ("begun.json", {"resumed": "twice"}, "resumed"),
+    ],
+)
+def test_a_note_with_values_of_wrong_types_is_named(name: str, changes: dict[str, Any], wrong: str, run: Run) -> None:
+    leave_checkpoints(run)
+    note = (
+        {"fingerprint": "same", **FACTS, **CODE} if name == "finished.json" else {"fingerprint": "same", "resumed": 0}
+    )
+    (run.checkpoints / name).write_text(json.dumps(note | changes))
+    with refused(f"{name} has no valid {wrong}: delete it to train again"):
         start_training(run, "same", reuse=True, ckpt=None, code="new")
     assert (run.checkpoints / "best.ckpt").read_text() == "weights"
 
