@@ -188,6 +188,16 @@ def test_scores_of_some_experiments() -> None:
     assert second.means()["twin_difference_explained"] == pytest.approx(1 - 17 / 20)
 
 
+def test_some_experiments_lack_measures_of_which_they_have_no_value() -> None:
+    alone = np.array([8, 3, 8, -1])
+    scores = score(along_x(0.0, 5.0, 1.0, 5.0), four(pair=alone, cluster=alone))
+    of_twins = ["twin_difference_explained", "right_twin_chosen"]
+    assert list(scores.select(np.array([0, 2, 3])).values) == [*list(scores.values)[:2], *of_twins]
+    assert list(scores.select(np.array([1, 3])).values) == ["mse", "final_position_error"]
+    of_two_objects, of_one = (score(predictions(), truth()).select(np.array([row])).values.keys() for row in (0, 1))
+    assert of_two_objects - of_one == {"pixel_error_2"}
+
+
 def test_two_methods_are_compared_experiment_by_experiment() -> None:
     ours, others = score(along_x(0.0, 5.0, 1.0, 5.0), four()), score(along_x(0.0, 6.0, 2.0, 6.0), four())
     difference = compare(ours, others)
@@ -199,6 +209,16 @@ def test_two_methods_are_compared_experiment_by_experiment() -> None:
     seeds = average([ours, others])
     assert seeds.mse.tolist() == pytest.approx(((ours.mse + others.mse) / 2).tolist())
     assert seeds.means()["twin_difference_explained"] == pytest.approx(1 - 16.5 / 20)
+
+
+def test_methods_are_compared_in_the_measures_that_both_have() -> None:
+    both, positions = score(predictions(), truth()), score(predictions(stable_logit=None), truth())
+    assert both.values.keys() > positions.values.keys()
+    for difference in (compare(both, positions), compare(positions, both)):
+        assert difference.values.keys() == positions.values.keys()
+        assert difference.mse.tolist() == [0.0, 0.0]
+    without_camera = score(predictions(), truth(camera=None))
+    assert list(average([positions, without_camera]).values) == ["mse", "final_position_error"]
 
 
 def test_scores_of_other_experiments_are_not_compared() -> None:

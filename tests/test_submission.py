@@ -88,6 +88,25 @@ def test_samples_are_scored_by_hand() -> None:
     np.testing.assert_allclose(values["mse"], [4 / 3, 0.0])
 
 
+def test_samples_are_scored_in_the_coordinates_that_count() -> None:
+    """As above, with z anywhere: RMSE 1/√2 and 3/√2, apart 2/√2."""
+    samples = np.zeros((2, 2, 2, 2, 3))
+    samples[..., 2] = np.random.default_rng(0).normal(size=(2, 2, 2, 2))
+    samples[0, 0, ..., 0], samples[0, 1, ..., 0] = 1.0, 3.0
+    flat = small_truth(metric_dims=2)
+    values = cophy.score(Predictions(flat.experiment, samples.mean(axis=1), samples=samples), flat).values
+    np.testing.assert_allclose(values["energy_score"], [(2 - 1) / np.sqrt(2), 0.0])
+    np.testing.assert_allclose(values["best_sample_mse"], [1 / 2, 0.0])
+
+
+def test_one_sample_is_scored_as_a_prediction() -> None:
+    position = np.random.default_rng(0).normal(size=(2, 2, 2, 3))
+    truth = small_truth()
+    values = cophy.score(Predictions(truth.experiment, position, samples=position[:, None]), truth).values
+    np.testing.assert_allclose(values["best_sample_mse"], values["mse"])
+    np.testing.assert_allclose(values["energy_score"], np.sqrt(values["mse"]))
+
+
 def test_the_true_distribution_has_the_best_energy_score(truth: Truth) -> None:
     rng, shape = np.random.default_rng(0), (len(truth.experiment), 16, *truth.position.shape[1:])
 
@@ -239,6 +258,11 @@ def with_first(columns: dict[str, np.ndarray], name: str, value: int) -> dict[st
     return columns | {name: changed}
 
 
+def empty_slot(columns: dict[str, np.ndarray]) -> int:
+    """Return a slot of the first line's experiment that holds no object."""
+    return min({*range(4)} - {*columns["slot"][columns["id"] == columns["id"][0]].tolist()})
+
+
 TABLES: dict[str, tuple[Callable[[dict[str, np.ndarray]], dict[str, Any]], str]] = {
     "a column is missing": (lambda t: {name: t[name] for name in t if name != "frame"}, "columns frame are missing"),
     "a line is missing": (lambda t: without(t, slice(1, None)), "1 lines are missing, the first is id"),
@@ -246,6 +270,10 @@ TABLES: dict[str, tuple[Callable[[dict[str, np.ndarray]], dict[str, Any]], str]]
     "an unknown id": (lambda t: with_first(t, "id", 10**9), "1 lines name an experiment that is not in this"),
     "frame 0": (lambda t: with_first(t, "frame", 0), "1 lines have a frame that is not from 1 to 14"),
     "slot 9": (lambda t: with_first(t, "slot", 9), "1 lines have a slot that is not from 0 to 3"),
+    "an empty slot": (
+        lambda t: with_first(t, "slot", empty_slot(t)),
+        "1 lines name a slot that is empty in C, the first",
+    ),
     "a huge sample": (lambda t: t | {"sample": np.arange(len(t["id"])) + 10**12}, "sample number that is too large"),
     "texts": (lambda t: t | {"x": ["a"] * len(t["x"])}, "x: these columns hold no numbers"),
     "ids are floats": (lambda t: t | {"id": t["id"] * 1.0}, "id: these columns hold no integers"),
