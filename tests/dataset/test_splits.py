@@ -68,6 +68,16 @@ def test_seen_and_unseen_configurations_never_meet(tiny) -> None:
 def test_a_part_that_means_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="neither sphere nor cylinder"):
         Part(2, moving="cube")
+    with pytest.raises(ValueError, match="split: configurations=held_out is neither seen nor unseen"):
+        Part(2, configurations="held_out")
+
+
+@pytest.mark.parametrize(("key", "name"), [("cell", "sphere_sphere"), ("do_operation", "displace_moving")])
+def test_cells_and_do_operations_are_unknown_in_released_data(key: str, name: str, scenario_of) -> None:
+    released = {"split": np.zeros(4, dtype=np.uint8)}
+    assert Part(2).select(released, scenario_of("collision")).all()
+    with pytest.raises(CophyError, match=f"split: {key} is unknown in released data"):
+        Part(2, **{key: name}).select(released, scenario_of("collision"))
 
 
 def test_every_split_tests_something_at_the_smallest_size(tiny) -> None:
