@@ -27,6 +27,16 @@ def test_an_assignment_is_a_pure_function_of_its_index() -> None:
     assert assign(17, **ONE_BLOCK) != assign(17, **(ONE_BLOCK | {"data_seed": 1}))
 
 
+@pytest.mark.parametrize("count", [576, 40_000])  # more than are gone through
+def test_training_tells_nothing_about_equal_numbers_of_other_series(count: int) -> None:
+    seen = np.random.default_rng(0).permutation(count) < count // 2
+    prescribed = ONE_BLOCK | {"seen": seen, "num_configurations": count}
+    series = [[assign(pair, **prescribed, series=number) for pair in FIRST_OF_BLOCKS[:200]] for number in range(3)]
+    for one, other in itertools.combinations(series, 2):
+        assert sum(ours.first == others.first for ours, others in zip(one, other, strict=True)) < 10
+        assert [ours.cell for ours in one] == [others.cell for others in other]
+
+
 def test_every_configuration_meets_every_cell_of_the_one_block_equally_often() -> None:
     met = Counter((assign(pair, **ONE_BLOCK).first, assign(pair, **ONE_BLOCK).cell) for pair in range(4 * 576))
     assert len(met) == 4 * 576
