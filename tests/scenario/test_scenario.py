@@ -1,5 +1,7 @@
 """Twin pairs of all three scenarios, on the tiny datasets and from scratch."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +33,11 @@ def test_cells_are_level_where_there_is_one_kind_of_block(name: str, tiny_data: 
         assert (
             np.ptp(np.bincount(arrays["cell"][arrays["split"] == split], minlength=len(np.unique(arrays["cell"])))) <= 2
         )
+
+
+def test_a_single_colour_is_refused(scenario_of: Callable[..., Scenario]) -> None:
+    with pytest.raises(ValueError, match="two colours or more"):
+        replace(scenario_of("balls"), colors={"red": "#ff0000"}, num_objects=[1])
 
 
 def test_every_object_of_a_has_a_place_in_the_order(tiny) -> None:

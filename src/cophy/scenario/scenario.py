@@ -79,6 +79,8 @@ class Scenario(ABC):
                 f"scenario.num_objects={list(self.num_objects)}: {self.name} has {self.num_slots} colours, and every object "
                 "of an experiment needs its own: add '+scenario.colors.NAME=\"#rrggbb\"'"
             )
+        if self.num_slots < 2:
+            raise ValueError("scenario.colors must have two colours or more, since models compare pairs of slots")
         self._check_distance("min_difference", self.min_difference)
         for slot, color in self.colors.items():
             if not HEX_COLOR.fullmatch(color):
