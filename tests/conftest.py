@@ -5,7 +5,7 @@ import functools
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,12 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States, sort_by_twins
 from cophy.errors import CophyError
 from cophy.locks import locked
-from cophy.scenario import Scenario, Simulator
+from cophy.scenario import Scenario, Simulator, rendering
 from cophy.schemas import register
 from cophy.types import Batch
 
 ROOT = Path(__file__).parents[1]
+FLOOR_PX = rendering.FLOOR_PX
 SCENARIOS = {"blocktower": 3, "balls": 4, "collision": 2}  # with the number of objects of its default split
 
 for variable in FOLDERS:
@@ -118,6 +119,21 @@ def pool_in_this_process(workers: int, initializer: Callable[..., None], *argume
 def generation_in_this_process() -> Iterator[None]:
     """Generate data without worker processes, whose imports take seconds; commands in processes of their own have them."""
     with mock.patch.object(generation, "worker_pool", pool_in_this_process):
+        yield
+
+
+def floors_of(pixels: int) -> AbstractContextManager[None]:
+    """Draw textures of floors with this many rows and columns; a context manager, or a decorator of a test."""
+    return mock.patch.object(rendering, "FLOOR_PX", pixels)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def small_floors() -> Iterator[None]:
+    """Draw small floors, because those of full size take longer than all the rest of a small image.
+
+    Commands in processes of their own draw the full size, so their images are not compared with those of this process.
+    """
+    with floors_of(512):
         yield
 
 

@@ -24,7 +24,7 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.dataset.states import States, make_twins, to_arrays
 from cophy.errors import CophyError
 from cophy.scenario import Simulator
-from tests.conftest import SCENARIOS, cached_settings, refused, tiny_spec
+from tests.conftest import FLOOR_PX, SCENARIOS, cached_settings, floors_of, refused, tiny_spec
 
 
 def sample(name: str, data_dir: Path) -> States:
@@ -89,6 +89,7 @@ def test_the_sample_is_what_the_generator_makes(name: str, tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("not_in_the_package")
+@floors_of(FLOOR_PX)
 def test_generating_the_sample_gives_its_content(tmp_path: Path) -> None:
     """Machines round differently, and impacts enlarge that: on another one, one pair of twenty had other bytes."""
     pytest.importorskip("pybullet")

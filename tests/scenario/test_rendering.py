@@ -10,6 +10,7 @@ from cophy.dataset.spec import DatasetSpec
 from cophy.errors import CophyError
 from cophy.scenario import Camera, Scenario, Shape
 from cophy.scenario.rendering import NO_OBJECT, Backend, Frames, Renderer, RenderSettings, backdrop_image, floor_texture
+from tests.conftest import FLOOR_PX, floors_of
 
 RESOLUTION = 224
 
@@ -81,6 +82,7 @@ def test_the_same_seed_draws_the_same_picture_and_another_one_another(scenario_o
 
 
 @pytest.mark.slow
+@floors_of(FLOOR_PX)
 def test_many_backgrounds_need_no_more_memory_than_a_few(scenario_of: Callable[..., Scenario]) -> None:
     scenario = scenario_of("collision")
     still = np.zeros((1, 4, 3)), np.tile((0.0, 0.0, 0.0, 1.0), (1, 4, 1))
@@ -118,6 +120,7 @@ def test_settings_are_checked() -> None:
         RenderSettings(["rgb"], 4, Backend.tiny)
 
 
+@floors_of(FLOOR_PX)
 def test_floors_of_different_seeds_differ() -> None:
     floors = np.stack([floor_texture(seed)[::64, ::64].reshape(-1) for seed in range(12)]).astype(float)
     distance = np.abs(floors[:, None] - floors).mean(axis=-1)
