@@ -1,5 +1,7 @@
 """Checkpoints as train.py saves them, except for what a test changes."""
 
+import copy
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,15 @@ NONSENSE: list[tuple[dict[str, Any], str]] = [
 ]
 
 
+@functools.cache
+def plain_settings(*overrides: str) -> dict[str, Any]:
+    """Return the plain values of a training on balls, composed once per process; do not change them."""
+    return to_plain(composed("train", "scenario=balls", *overrides))
+
+
 def saved(path: Path, model: dict[str, Any], weights: dict[Any, Any], /, **changes: Any) -> Path:
     """Write a checkpoint of this model."""
-    origin = make_origin(to_plain(composed("train", "scenario=balls")), trained_on=[[]])
+    origin = make_origin(plain_settings(), trained_on=[[]])
     network = {f"network.{key}": value for key, value in weights.items()}
     torch.save({"origin": origin | {"model": model} | changes, "state_dict": network}, path)
     return path
@@ -29,7 +37,7 @@ def saved(path: Path, model: dict[str, Any], weights: dict[Any, Any], /, **chang
 
 def model_of(*overrides: str) -> dict[str, Any]:
     """Return the keys of a model as conf/ has them."""
-    return dict(to_plain(composed("train", "scenario=balls", *overrides))["model"])
+    return copy.deepcopy(plain_settings(*overrides)["model"])
 
 
 def weights_of(model: dict[str, Any]) -> dict[str, Any]:

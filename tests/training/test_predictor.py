@@ -10,13 +10,13 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cophy.config import settings
 from cophy.dataset.datamodules import CounterfactualDataset
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
 from cophy.training.metrics import VALIDATED
 from cophy.training.predictor import PredictionModule
 from cophy.types import Batch, Inputs, Prediction
+from tests.conftest import cached_settings
 from tests.models.networks import build
 from tests.training.scored import scored
 
@@ -24,7 +24,7 @@ from tests.training.scored import scored
 def module_of(
     network: nn.Module, *overrides: str, missed: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> PredictionModule:
-    chosen = settings("train", "scenario=blocktower", *overrides)
+    chosen = cached_settings("train", "scenario=blocktower", *overrides)
     module = PredictionModule(network, chosen.training, chosen.scenario)
     module.missed_position.copy_(torch.tensor(missed))
     return module

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from cophy.config import composed, to_plain
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
 from cophy.scenario import Shape
@@ -21,7 +20,7 @@ from cophy.training.trained import (
     find_derenderer,
     predict,
 )
-from tests.training.saved import NONSENSE, model_of, saved, weights_of
+from tests.training.saved import NONSENSE, model_of, plain_settings, saved, weights_of
 
 MISFIT = r"a\.ckpt was not written by train\.py, or by another version of cophy \(.*"
 RENDER = {"modalities": ["rgb"], "resolution": 16, "backend": "tiny"}
@@ -128,7 +127,7 @@ def test_an_origin_that_makes_no_sense_is_named(tmp_path: Path, changes: dict[st
     ],
 )
 def test_a_scenario_that_cannot_be_is_named(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
-    scenario = to_plain(composed("train", "scenario=balls"))["scenario"]
+    scenario = plain_settings()["scenario"]
     path = saved(tmp_path / "a.ckpt", SMALL, weights_of(SMALL), scenario=scenario | changes)
     with pytest.raises(CophyError, match=MISFIT + message):
         predictor_of(path)
@@ -253,7 +252,7 @@ def test_an_attribute_error_in_forward_keeps_its_traceback(tmp_path: Path, monke
 
 
 def test_both_checkpoints_need_the_same_colours(tmp_path: Path) -> None:
-    scenario = to_plain(composed("train", "scenario=balls"))["scenario"]
+    scenario = plain_settings()["scenario"]
     check_pair(make_derenderer(tmp_path), make_predictor(tmp_path))
     fewer = scenario | {"colors": dict(list(scenario["colors"].items())[:4]), "num_objects": [2, 3, 4]}
     with pytest.raises(CophyError, match=r"derenderer\.ckpt was trained on .*, predictor=.*predictor\.ckpt on "):
