@@ -24,18 +24,9 @@ def test_a_named_row_at_the_default_size_changes_nothing(named: tuple[str, ...])
     assert variant_of(*named) == ""
 
 
-@pytest.mark.parametrize(
-    "without_effect",
-    [
-        "trainer.devices=2",
-        "data_dir=elsewhere",
-        "workers=4",
-        "model.hidden_dim=32",
-        "trainer.enable_progress_bar=false",
-    ],
-)
-def test_what_changes_no_result_is_not_in_it(without_effect: str) -> None:
-    assert variant_of(without_effect) == ""
+def test_what_changes_no_result_is_not_in_it() -> None:
+    without_effect = ("trainer.devices=2", "data_dir=elsewhere", "workers=4", "trainer.enable_progress_bar=false")
+    assert variant_of(*without_effect, "model.hidden_dim=32") == ""  # the last is the default
 
 
 def test_choices_come_first_then_keys_in_their_order() -> None:
