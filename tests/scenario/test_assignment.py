@@ -124,13 +124,16 @@ def values_of(grid: ConfounderGrid, num_objects: int) -> tuple[np.ndarray, np.nd
 def test_nothing_seen_is_held_out_once_it_is_turned_or_scaled(grid: ConfounderGrid, num_objects: int) -> None:
     seen = select_seen(grid, num_objects, square_symmetries(), data_seed=0)
     mass, _, gravity = values_of(grid, num_objects)
-    half_of = {(tuple(m), tuple(g)): half for m, g, half in zip(mass, gravity, seen, strict=True)}
-    for m, g, half in zip(mass, gravity, seen, strict=True):
+    half_of: dict[tuple, set[bool]] = {}
+    for m, g, half in zip(mass.tolist(), gravity.tolist(), seen.tolist(), strict=True):
+        half_of.setdefault((tuple(m), tuple(g)), set()).add(half)
+    for (m, g), half in half_of.items():
+        assert len(half) == 1  # whatever the frictions
         for matrix, factor in itertools.product(square_symmetries(), (0.1, 0.2, 0.5, 1, 2, 5, 10)):
-            assert half_of.get((tuple(np.round(factor * m, 6)), tuple(matrix @ g)), half) == half
+            assert half_of.get((tuple(np.round(factor * np.array(m), 6)), tuple(matrix @ g)), half) == half
 
 
-@pytest.mark.parametrize("data_seed", range(10))
+@pytest.mark.parametrize("data_seed", range(3))
 @pytest.mark.parametrize("num_objects", [3, 4])
 def test_every_value_is_as_frequent_in_both_halves(num_objects: int, data_seed: int) -> None:
     seen = select_seen(TOWERS, num_objects, square_symmetries(), data_seed)
