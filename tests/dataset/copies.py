@@ -8,7 +8,7 @@ import numpy as np
 
 from cophy.dataset import generation
 from cophy.dataset.images import Images
-from cophy.dataset.spec import Size
+from cophy.dataset.spec import DatasetSpec, Size
 from cophy.dataset.states import States
 from cophy.scenario.rendering import MODALITIES, Backend, RenderSettings
 from tests.conftest import tiny_spec
@@ -19,9 +19,9 @@ IMAGE_SPEC = replace(SPEC, size=Size("tiny", experiments_per_shard=6, num_experi
 RENDER = RenderSettings(list(MODALITIES), 16, Backend.tiny)
 
 
-def generate(data_dir: Path, workers: int = 1) -> Path:
-    """Generate or repair the dataset; return its directory."""
-    states = States(SPEC, data_dir)
+def generate(data_dir: Path, spec: DatasetSpec = SPEC, workers: int = 1) -> Path:
+    """Generate or repair a dataset; return its directory."""
+    states = States(spec, data_dir)
     generation.make(states, workers=workers)
     return states.directory
 

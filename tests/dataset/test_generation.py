@@ -23,16 +23,16 @@ from cophy.scenario.rendering import Backend, RenderSettings
 from cophy.workers import worker_pool
 from tests.commands import run, run_apart
 from tests.conftest import ROOT, SCENARIOS, raising, settings, tiny_spec
-from tests.dataset.copies import SPEC, copy, digests, generate
+from tests.dataset.copies import IMAGE_SPEC, SPEC, copy, digests, generate
 
 
-def test_two_workers_write_the_same_bytes_as_one_process(finished: Path, tmp_path: Path) -> None:
-    directory = copy(finished, tmp_path)
+def test_two_workers_write_the_same_bytes_as_one_process(few: Path, tmp_path: Path) -> None:
+    directory = copy(few, tmp_path)
     for path in directory.glob("shard-*"):
         path.unlink()
     with mock.patch.object(generation, "worker_pool", worker_pool):
-        generate(tmp_path, workers=2)
-    assert digests(directory) == digests(finished)
+        generate(tmp_path, IMAGE_SPEC, workers=2)
+    assert digests(directory) == digests(few)
 
 
 def test_generating_again_changes_nothing(finished: Path, tmp_path: Path) -> None:
@@ -103,31 +103,31 @@ def test_a_dataset_is_generated_on_a_file_system_without_locks(
 
 
 def test_a_truncated_shard_is_named_with_its_remedy_and_generated_again(
-    finished: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    few: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    directory = copy(finished, tmp_path)
-    path = States(SPEC, tmp_path).path(1)
+    directory = copy(few, tmp_path)
+    path = States(IMAGE_SPEC, tmp_path).path(1)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(
         CophyError, match=r"shard-00001\.h5 is damaged .* run `python src/generate\.py scenario=collision"
     ):
-        States(SPEC, tmp_path).load()
-    generate(tmp_path)
+        States(IMAGE_SPEC, tmp_path).load()
+    generate(tmp_path, IMAGE_SPEC)
     assert "shard-00001.h5 is damaged" in caplog.text
-    assert digests(directory) == digests(finished)
+    assert digests(directory) == digests(few)
 
 
-def test_shards_that_changed_places_are_generated_again(finished: Path, tmp_path: Path, caplog) -> None:
+def test_shards_that_changed_places_are_generated_again(few: Path, tmp_path: Path, caplog) -> None:
     """Both are intact, and there is no manifest."""
-    directory = copy(finished, tmp_path)
+    directory = copy(few, tmp_path)
     (directory / MANIFEST).unlink()
-    first, second = (States(SPEC, tmp_path).path(shard) for shard in (0, 1))
+    first, second = (States(IMAGE_SPEC, tmp_path).path(shard) for shard in (0, 1))
     kept = first.rename(first.with_suffix(".kept"))
     second.rename(first)
     kept.rename(second)
-    generate(tmp_path)
+    generate(tmp_path, IMAGE_SPEC)
     assert f"its shard is {directory.name}/1, not {directory.name}/0" in caplog.text
-    assert digests(directory) == digests(finished)
+    assert digests(directory) == digests(few)
 
 
 def test_a_full_disk_is_named_and_loses_nothing(
@@ -171,35 +171,35 @@ def test_finished_data_that_cannot_be_written_to_are_only_checked(
             generate(tmp_path)
 
 
-def test_a_pipe_instead_of_a_shard_is_damage(finished: Path, tmp_path: Path) -> None:
-    directory = copy(finished, tmp_path)
-    path = States(SPEC, tmp_path).path(1)
+def test_a_pipe_instead_of_a_shard_is_damage(few: Path, tmp_path: Path) -> None:
+    directory = copy(few, tmp_path)
+    path = States(IMAGE_SPEC, tmp_path).path(1)
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(CophyError, match="it is not a regular file"):
-        States(SPEC, tmp_path).load()
-    generate(tmp_path)
-    assert digests(directory) == digests(finished)
+        States(IMAGE_SPEC, tmp_path).load()
+    generate(tmp_path, IMAGE_SPEC)
+    assert digests(directory) == digests(few)
 
 
-def test_parts_have_the_bytes_of_the_whole(finished: Path, tmp_path: Path) -> None:
-    states = States(SPEC, tmp_path)
+def test_parts_have_the_bytes_of_the_whole(few: Path, tmp_path: Path) -> None:
+    states = States(IMAGE_SPEC, tmp_path)
     generation.make_part(states, 1, 2, workers=1)
     assert [path.name for path in states.directory.glob("*.h5")] == ["shard-00001.h5"]
     assert not states.is_finished()
     generation.make_part(states, 0, 2, workers=1)
-    assert digests(states.directory) == digests(finished)
+    assert digests(states.directory) == digests(few)
 
 
-def test_a_part_repairs_only_its_own_shards(finished: Path, tmp_path: Path) -> None:
-    directory, states = copy(finished, tmp_path), States(SPEC, tmp_path)
+def test_a_part_repairs_only_its_own_shards(few: Path, tmp_path: Path) -> None:
+    directory, states = copy(few, tmp_path), States(IMAGE_SPEC, tmp_path)
     (directory / MANIFEST).unlink()
     path = states.path(1)
     path.write_bytes(path.read_bytes()[:1000])
     generation.make_part(states, 0, 2, workers=1)
     assert not states.is_finished()  # the manifest is not written while a shard is damaged
     generation.make_part(states, 1, 2, workers=1)
-    assert digests(directory) == digests(finished)
+    assert digests(directory) == digests(few)
 
 
 @pytest.mark.slow
@@ -216,18 +216,18 @@ def test_a_part_that_does_not_exist_is_refused(tmp_path: Path) -> None:
 
 
 def test_long_work_prints_an_estimate_first(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    directory = copy(finished, tmp_path)
+    directory = copy(few, tmp_path)
     (directory / "shard-00001.h5").unlink()
-    generate(tmp_path)
+    generate(tmp_path, IMAGE_SPEC)
     assert not caplog.messages
-    for seconds, minutes in ((100, 40), (2, 1)):  # half a minute is long, where nothing else is printed
+    for seconds, minutes in ((400, 40), (8, 1)):  # half a minute is long, where nothing else is printed
         (directory / "shard-00001.h5").unlink()
         monkeypatch.setattr(States, "cost", lambda self, count, each=seconds: (each * count, 0.5 * count))
-        generate(tmp_path)
+        generate(tmp_path, IMAGE_SPEC)
         (message,) = caplog.messages
-        assert f"24 experiments take about {minutes} CPU-minutes and 12 MB of disk" in message
+        assert f"6 experiments take about {minutes} CPU-minutes and 3 MB of disk" in message
         caplog.clear()
 
 
