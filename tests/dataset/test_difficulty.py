@@ -85,10 +85,9 @@ def test_generated_twins_differ_as_the_search_measured(tiny: Any) -> None:
         np.testing.assert_allclose(own, expected, rtol=1e-5)
 
 
+@pytest.mark.parametrize("tiny", ["blocktower"], indirect=True)
 def test_generated_towers_stand_where_their_margin_is_positive(tiny: Any) -> None:
     spec, arrays = tiny
-    if spec.scenario.name != "blocktower":
-        pytest.skip("towers only")
     margins = true_margins(arrays, spec)
     words = np.where(margins > 0, "stands", "falls")
     cells = [name.replace("both_fall", "falls") for name in difficulty(arrays, spec)["cell"].tolist()]

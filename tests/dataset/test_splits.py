@@ -47,10 +47,9 @@ def test_splits_of_a_small_dataset_are_parts_of_those_of_a_large_one() -> None:
     assert small < large
 
 
+@pytest.mark.parametrize("tiny", ["collision"], indirect=True)
 def test_the_moving_object_selects_its_experiments(tiny) -> None:
     spec, arrays = tiny
-    if spec.scenario.name != "collision":
-        pytest.skip("collision only")
     sphere, cylinder = (Part(2, moving=shape).select(arrays, spec.scenario) for shape in ("sphere", "cylinder"))
     np.testing.assert_array_equal(sphere, ~cylinder)
     names = np.array(spec.scenario.cells())[arrays["cell"]]

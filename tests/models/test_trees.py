@@ -105,10 +105,9 @@ def test_the_seed_determines_the_trees(tiny_batch: TinyBatch) -> None:
     torch.testing.assert_close(first, second, atol=0, rtol=0)
 
 
+@pytest.mark.parametrize("tiny", ["blocktower"], indirect=True)
 def test_statics_says_which_towers_stand(tiny_batch: TinyBatch) -> None:
     batch, scenario, statistics = tiny_batch
-    if scenario.statics is None:
-        return
     features, slots = statics_features(batch.inputs, scenario.statics, statistics), batch.inputs.presence.shape[1]
     inputs, targets = batch.inputs, batch.targets
     a, c = ((inputs.observed[:, :1], inputs.observed[:, 1:]), (inputs.initial[:, None], targets.position))
