@@ -7,7 +7,6 @@ import torch
 
 from cophy.models.contacts import Contact, Contacts
 from cophy.types import POSE, POSE_ANGLES
-from tests.models.networks import build, random_batch
 
 
 def contact_of(offset: list[float], velocity: list[float], pose: torch.Tensor | None = None) -> Contact:
@@ -152,10 +151,3 @@ def test_gradients_of_square_contacts_are_finite() -> None:
         contact = Contacts()(position, motion, lying(0.2, 0).expand(len(position), -1, -1))
         gradients = torch.autograd.grad(sum(each.sum() for each in vars(contact).values()), (position, motion))
         assert all(torch.isfinite(each).all() for each in gradients)
-
-
-def test_a_model_without_poses_does_not_use_them() -> None:
-    inputs = random_batch(4, [2, 2]).inputs
-    with_pose = build("alongside")(inputs).position
-    inputs.pose = None
-    torch.testing.assert_close(build("alongside")(inputs).position, with_pose)

@@ -10,9 +10,9 @@ from cophy.models.layers import radius_graph
 from cophy.training.losses import position_loss, stability_loss
 from cophy.types import CONFOUNDERS, Batch, map_tensors, take
 from tests.models.networks import (
-    COPHYNETS,
-    INTERACTION_NETWORKS,
+    ALONGSIDES,
     NUM_FRAMES,
+    OTHERS,
     SEES_APPEARANCE,
     TRAINED,
     build,
@@ -33,7 +33,11 @@ READ_AB = (
     "transformer",
     "hypotheses",
 )
-DECLARE_APPEARANCE = (*COPHYNETS, *INTERACTION_NETWORKS, "alongside", "gns", "transformer")
+DECLARE_APPEARANCE = ("cophynet", "in", "alongside", "gns", "transformer")
+OF_EVERY_CLASS = (  # with the options that run most of its code, and those that run other code
+    *("cophynet", "cophynet_true", "static_gating", "feedforward", "mlp", "single_step", "in", "npe_true"),
+    *("alongside_walls", "alongside_no_replay", "gns_walls", "transformer", "hypotheses"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +69,9 @@ def test_absent_objects_change_nothing(name: str, batch: Batch) -> None:
     torch.testing.assert_close(present_positions(network(noisy), inputs), expected, atol=1e-5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("name", TRAINED)
+@pytest.mark.parametrize("name", [*ALONGSIDES, *OTHERS])
 def test_an_experiment_does_not_depend_on_its_batch(name: str, batch: Batch) -> None:
+    """Neither does it for the others, which test_plain_loop.py compares with loops over experiments."""
     network, inputs = build(name), batch.inputs
     alone = take(inputs, slice(2, 3))
     expected = present_positions(network(inputs), inputs)[2:3]
@@ -99,7 +104,7 @@ def test_a_node_of_gns_sums_messages_without_their_residuals() -> None:
     torch.testing.assert_close(new_nodes, nodes + step.node(torch.cat([nodes, (new_edges - edges).sum(dim=1)], dim=-1)))
 
 
-@pytest.mark.parametrize("name", TRAINED)
+@pytest.mark.parametrize("name", OF_EVERY_CLASS)
 def test_double_precision_stays(name: str, batch: Batch) -> None:
     inputs = map_tensors(lambda t: t.double() if t.is_floating_point() else t, batch.inputs)
     assert build(name).double()(inputs).position.dtype == torch.float64
@@ -119,7 +124,7 @@ def test_counterfactual_models_read_ab(name: str, batch: Batch) -> None:
     assert (network(blind).position - network(inputs).position).abs().max() > 1e-6
 
 
-@pytest.mark.parametrize("name", TRAINED)
+@pytest.mark.parametrize("name", OF_EVERY_CLASS)
 def test_only_models_with_true_confounders_need_them(name: str, batch: Batch) -> None:
     network, without = build(name), replace(batch.inputs, confounders=None)
     if name.endswith(("_true", "_without_pose")):
@@ -161,7 +166,7 @@ def test_appearance_is_read_only_where_it_is_enabled(name: str, field: str, batc
         sees(without)
 
 
-@pytest.mark.parametrize("name", [name for name in TRAINED if name != "mlp"])
+@pytest.mark.parametrize("name", [name for name in OF_EVERY_CLASS if name != "mlp"])
 def test_a_batch_without_objects_is_predicted(name: str, batch: Batch) -> None:
     nothing = torch.zeros_like(batch.inputs.presence)
     empty = replace(batch.inputs, presence=nothing, observed_presence=nothing)
