@@ -85,7 +85,6 @@ def test_released_data_are_read_alike(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"scenario": "ball"}, "did you mean balls"),
         ({"split": "testing"}, "there are train, val, test"),
         ({"modalities": "rgb"}, r"a tuple of names, as \('rgb',\)"),
         ({"modalities": ("colour",)}, "there are states, rgb"),

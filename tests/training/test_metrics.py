@@ -1,4 +1,4 @@
-"""Metrics in training and losses against values worked out by hand, and the scores of a test split."""
+"""Metrics in training and losses against values worked out by hand."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,9 +12,8 @@ from torch import Tensor
 from cophy.errors import CophyError
 from cophy.training.losses import confounder_loss, position_loss, stability_loss, stability_target
 from cophy.training.metrics import mean_squared_error, own_measures, standing_confusion
-from cophy.types import Batch, Prediction, Targets
+from cophy.types import Prediction, Targets
 from tests.models.networks import random_batch
-from tests.training.scored import scored
 
 INITIAL = torch.tensor([[[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]])
 
@@ -137,34 +136,6 @@ def test_a_name_of_another_metric_is_refused(name: str) -> None:
 
 def test_one_logit_per_sequence_predicts_being_always_stable() -> None:
     assert stability_target(torch.zeros(2, 1, 2), targets()).tolist() == [[[True, False]], [[False, False]]]
-
-
-def test_a_prediction_that_is_not_finite_is_an_error(tower_batch: Batch, scenario_of) -> None:
-    scenario, targets = scenario_of("blocktower"), tower_batch.targets
-    position = targets.position.clone()
-    position[3, 5] = torch.nan
-    with pytest.raises(CophyError, match="non-finite"):
-        scored(Prediction(position), targets, scenario)
-    logit = torch.full_like(targets.position[..., 0], torch.nan)
-    with pytest.raises(CophyError, match="non-finite"):
-        scored(Prediction(targets.position, logit), targets, scenario)
-
-
-def test_predictions_of_absent_objects_do_not_matter(tower_batch: Batch, scenario_of) -> None:
-    targets = tower_batch.targets
-    absent = torch.where(targets.presence[:, None, :, None], targets.position, torch.nan)
-    assert scored(Prediction(absent), targets, scenario_of("blocktower")).mse.max() == 0
-
-
-def test_the_pixel_error_by_height_is_the_mean_of_the_heights(tower_batch: Batch, scenario_of) -> None:
-    """As in the paper's Table 1. Of towers whose top was removed the top does not count, of all the others it does."""
-    shifted = Prediction(tower_batch.targets.position + torch.tensor([0.1, 0.0, 0.2]))
-    scores = scored(shifted, tower_batch.targets, scenario_of("blocktower"))
-    means = scores.means()
-    heights = [means[f"pixel_error_{rank}"] for rank in (1, 2, 3)]
-    assert np.isnan(scores.values["pixel_error_3"]).any()
-    assert means["pixel_error_by_height"] == pytest.approx(np.mean(heights))
-    assert means["pixel_error_by_height"] != pytest.approx(means["pixel_error"], rel=1e-6)
 
 
 def test_a_tower_stands_if_all_its_objects_do() -> None:
