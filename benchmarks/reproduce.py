@@ -83,6 +83,7 @@ AUDIT_HOURS = 0.05  # estimated
 TEST_HOURS = 0.01  # ours: of published weights, whose test images another run has drawn
 DERENDERER_HOURS = 0.3  # 20,000 frames at 112 px (docs/guides/images.md)
 ORACLE_EXPERIMENTS = 100  # ours: a quarter of the test split of size=small
+FIT_HOURS = {"spheres": 0.3, "trees": 0.05, "trees_confounders": 0.05}  # at size=small, of what has no training time
 ORACLE_HOURS = ORACLE_EXPERIMENTS * SECONDS_PER_EXPERIMENT / 3600
 
 
@@ -338,7 +339,7 @@ def run_job(
     epochs = epochs_of(method, size) * factor
     experiments = (changes or {}).get("training.num_experiments", experiments)
     seconds = known_seconds().get((scenario, names["model"], names["ablation"]), float("nan")) * experiments * epochs
-    hours = TEST_HOURS if predictor else seconds / 3600
+    hours = TEST_HOURS if predictor else FIT_HOURS.get(row, seconds / 3600)
     sees_estimates = positions not in (TRUE_POSITIONS, ESTIMATED_IN_TESTING)
     training = None if predictor else (scenario, trained_on, row, seed, variant(changed), sees_estimates)
     return Job(scenario, command, OUTPUTS / of_job.place / METRICS, hours, row=identity, training=training)
