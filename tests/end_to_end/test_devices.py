@@ -37,13 +37,15 @@ def test_two_processes_leave_what_one_does(tiny_data: Path, tmp_path: Path, size
         np.testing.assert_allclose(predicted[name], values, atol=1e-6)
 
 
-def test_a_sweep_of_runs_on_two_devices_is_refused(tiny_data: Path, tmp_path: Path) -> None:
-    sweep = ("-m", "scenario=collision", "model=in", "seed=0,1", f"hydra.sweep.dir={tmp_path}")
-    assert "one command for each run" in train(*sweep, *ON_TWO, data=tiny_data, code=1)
+def test_a_sweep_of_runs_on_two_devices_is_refused(tmp_path: Path) -> None:
+    sweep = ("-m", "scenario=collision", "model=in", "seed=0,1", f"hydra.sweep.dir={tmp_path / 'runs'}")
+    assert "one command for each run" in train(*sweep, *ON_TWO, data=tmp_path / "data", code=1)
+    assert not (tmp_path / "data").exists()  # nothing was generated before
 
 
-def test_a_derenderer_is_refused(tiny_data: Path, tmp_path: Path) -> None:
+def test_a_derenderer_is_refused(tmp_path: Path) -> None:
     """Each device would normalise by its own share of a batch."""
     small = ("model.resolution=16", "model.width=2", "model.readout=linear", "num_images=20", "render.resolution=16")
-    keys = ("model=derenderer", "scenario=collision", *small, f"hydra.run.dir={tmp_path}")
-    assert "train it on one device" in train(*keys, *ON_TWO, data=tiny_data, code=1)
+    keys = ("model=derenderer", "scenario=collision", *small, f"hydra.run.dir={tmp_path / 'run'}")
+    assert "train it on one device" in train(*keys, *ON_TWO, data=tmp_path / "data", code=1)
+    assert not (tmp_path / "data").exists()
