@@ -83,7 +83,7 @@ AUDIT_HOURS = 0.05  # estimated
 TEST_HOURS = 0.01  # ours: of published weights, whose test images another run has drawn
 DERENDERER_HOURS = 0.3  # 20,000 frames at 112 px (docs/guides/images.md)
 ORACLE_EXPERIMENTS = 100  # ours: a quarter of the test split of size=small
-FIT_HOURS = {"spheres": 0.3, "trees": 0.05, "trees_confounders": 0.05}  # at size=small, of what has no training time
+FIT_HOURS = {"spheres": 0.3, "trees": 0.05, "trees_confounders": 0.05}  # estimated, for size=small
 ORACLE_HOURS = ORACLE_EXPERIMENTS * SECONDS_PER_EXPERIMENT / 3600
 
 
@@ -326,7 +326,7 @@ def run_job(
     changed = {key: value for key, value in changed.items() if value is not None}
     tested = {"derenderer": derenderer} if derenderer else {}
     change = variant(changed | tested)
-    of_job = Run(scenario, split, names["model"], names["ablation"], positions, seed, size, change, Path())
+    named_run = Run(scenario, split, names["model"], names["ablation"], positions, seed, size, change, Path())
     command = ["train", f"scenario={scenario}", f"split={split}"]
     method = f"model={row}" if row == DERENDERER else f"+row={row}"
     command += [method, f"size={size}", f"seed={seed}"]
@@ -334,7 +334,7 @@ def run_job(
     command += [f"{key}={value}".replace(" ", "") for key, value in keys.items()]
     command += [f"positions={positions}"] if positions != TRUE_POSITIONS else []
     command += ["workers=1", "trainer.enable_progress_bar=false", "figures_every_n_epochs=1000"]
-    identity = tuple(map(str, of_job.names().values()))
+    identity = tuple(map(str, named_run.names().values()))
     trained_on, experiments, factor = training_of(scenario, split, size)
     epochs = epochs_of(method, size) * factor
     experiments = (changes or {}).get("training.num_experiments", experiments)
@@ -342,7 +342,7 @@ def run_job(
     hours = TEST_HOURS if predictor else FIT_HOURS.get(row, seconds / 3600)
     sees_estimates = positions not in (TRUE_POSITIONS, ESTIMATED_IN_TESTING)
     training = None if predictor else (scenario, trained_on, row, seed, variant(changed), sees_estimates)
-    return Job(scenario, command, OUTPUTS / of_job.place / METRICS, hours, row=identity, training=training)
+    return Job(scenario, command, OUTPUTS / named_run.place / METRICS, hours, row=identity, training=training)
 
 
 PARTS = {
@@ -364,8 +364,9 @@ def print_plan(part: str, jobs: list[Job], left: list[Job]) -> None:
     for column in ("scenario", "left", "CPU-hours", "MB"):
         table.add_column(column)
     for scenario in dict.fromkeys(job.scenario for job in left):
-        chosen = [job for job in left if job.scenario == scenario]
-        table.add_row(scenario, str(len(chosen)), in_hours(chosen), f"{sum(job.megabytes for job in chosen):.0f}")
+        jobs_of_scenario = [job for job in left if job.scenario == scenario]
+        megabytes = sum(job.megabytes for job in jobs_of_scenario)
+        table.add_row(scenario, str(len(jobs_of_scenario)), in_hours(jobs_of_scenario), f"{megabytes:.0f}")
     Console().print(table)
 
 

@@ -127,7 +127,7 @@ def test_counterfactual_models_read_ab(name: str, batch: Batch) -> None:
 @pytest.mark.parametrize("name", OF_EVERY_CLASS)
 def test_only_models_with_true_confounders_need_them(name: str, batch: Batch) -> None:
     network, without = build(name), replace(batch.inputs, confounders=None)
-    if name.endswith(("_true", "_without_pose")):
+    if name.endswith("_true"):
         with pytest.raises(ValueError, match="true confounders are not among the inputs"):
             network(without)
     else:
