@@ -358,17 +358,20 @@ def test_the_seed_of_a_dataset_may_be_called_seed(command: str, key: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("keys", "schedule"),
+    ("keys", "expected"),
     [
-        (("model=alongside_canonical",), (64, 40)),
-        (("model=alongside_canonical", "size=paper"), (256, 20)),
-        (("model=alongside_canonical", "size=paper", "training.batch_size=8", "trainer.max_epochs=3"), (8, 3)),
-        (("model=alongside", "size=paper"), (64, 40)),
+        (("model=alongside_posed",), (64, 40, 32)),
+        (("model=alongside_canonical", "size=paper"), (256, 20, 32)),
+        (("model=alongside_posed", "size=paper"), (256, 20, 64)),
+        (("model=alongside_posed", "size=paper", "training.batch_size=8", "trainer.max_epochs=3"), (8, 3, 64)),
+        (("model=alongside", "size=paper"), (64, 40, 32)),
     ],
 )
-def test_a_model_may_have_a_schedule_of_its_own_at_a_size(keys: tuple[str, ...], schedule: tuple[int, int]) -> None:
+def test_a_model_may_have_its_own_width_and_schedule_at_a_size(
+    keys: tuple[str, ...], expected: tuple[int, ...]
+) -> None:
     config = composed("train", *keys)
-    assert (config.training.batch_size, config.trainer.max_epochs) == schedule
+    assert (config.training.batch_size, config.trainer.max_epochs, config.model.hidden_dim) == expected
 
 
 def test_the_seed_of_a_training_is_not_that_of_its_dataset() -> None:
