@@ -14,7 +14,7 @@ MP4_BRAND = b"ftyp"  # bytes 4 to 7 of every MP4 file
 
 
 class BrokenFileError(Exception):
-    """A file is not what its format says; the message names it."""
+    """A file is not what its format says, or contradicts others; the message says which and how."""
 
 
 def read_bytes(path: Path) -> bytes:

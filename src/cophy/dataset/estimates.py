@@ -23,7 +23,6 @@ class DerendererProtocol(Protocol):
 
     def __call__(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N, R, R, 3) uint8 -> positions (N, K, 3) in metres, presence logits (N, K)."""
-        ...
 
 
 class Estimates(ShardSet):

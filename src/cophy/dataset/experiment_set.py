@@ -165,33 +165,26 @@ class FrameSource(Protocol):
     @property
     def states(self) -> ExperimentSet:
         """The experiments that the images show."""
-        ...
 
     @property
     def name(self) -> str:
         """Name of the set of images: modalities, resolution and renderer."""
-        ...
 
     @property
     def needed(self) -> NeededFrames:
         """Frames that the set contains."""
-        ...
 
     def ensure(self, *, workers: int) -> None:
         """Generate what is missing, including the experiments."""
-        ...
 
     def checksums(self) -> dict[str, str] | None:
         """Return the SHA-256 per shard of the images, or None if there are no shards (any more)."""
-        ...
 
     def sequences(self, shard: int) -> Iterator[SequenceFrames]:
         """Yield the needed frames of each sequence of a shard; sequences without any are omitted."""
-        ...
 
     def reader(self, arrays: Arrays) -> FrameReader:
         """Return a function that reads a frame of the experiments in `arrays`, for use in one process."""
-        ...
 
     def pictures(self, arrays: Arrays, modalities: Sequence[str]) -> ReadImages:
         """Return a function that reads both sequences of an experiment in `arrays`, (2, T, R, R, ...) each, in one process.
@@ -199,4 +192,3 @@ class FrameSource(Protocol):
         Raises:
             CophyError: There are no images of one of the modalities.
         """
-        ...

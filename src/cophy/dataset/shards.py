@@ -290,7 +290,6 @@ class Sharded(Protocol):
 
     def experiments_of_shard(self, shard: int) -> range:
         """Return the indices of the experiments in a shard."""
-        ...
 
 
 class ShardSet(ABC):

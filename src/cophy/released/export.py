@@ -4,6 +4,7 @@ import io
 import json
 import logging
 import os
+import shlex
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -183,7 +184,7 @@ def _training_command(scenario: Scenario, root: Path) -> str:
     values |= {f"camera.{name}": getattr(scenario.camera, name) for name in ("eye", "target")}
     lists = [f"'scenario.{key}=[{','.join(f'{v:g}' for v in value)}]'" for key, value in values.items()]
     view = f"scenario.camera.field_of_view_deg={scenario.camera.field_of_view_deg:g}"
-    return f"python src/train.py source=cophy source.root={root} scenario={scenario.name} {' '.join(lists)} {view}"
+    return f"python src/train.py source=cophy {shlex.quote(f'source.root={root}')} scenario={scenario.name} {' '.join(lists)} {view}"
 
 
 def _claim(folder: Path, states: States, images: Images | None, splits: Path, lists: dict[str, bytes]) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from cophy.dataset.splits import Split
 from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS
 from cophy.errors import CophyError
-from cophy.released.recording import BrokenExperimentError, Recording
+from cophy.released.recording import Recording
 from cophy.scenario import Scenario, Shape
 from cophy.untrusted_files import BrokenFileError, count_frames, read_array, read_text
 
@@ -100,9 +100,9 @@ def _read_states(directory: Path, scenario: Scenario, frame_step: int) -> list[n
     for name in SEQUENCE_FOLDERS:
         states = read_array(directory / name / "states.npy")
         if states.ndim != 3 or states.shape[2] != 13:
-            raise BrokenExperimentError(f"states.npy has shape {states.shape}, not (time, object, 13)")
+            raise BrokenFileError(f"states.npy has shape {states.shape}, not (time, object, 13)")
         if len(states) != length:
-            raise BrokenExperimentError(f"states.npy has {len(states)} frames, not {length}")
+            raise BrokenFileError(f"states.npy has {len(states)} frames, not {length}")
         sequences.append(states[::frame_step])
     return sequences
 
@@ -116,7 +116,7 @@ def _move_to_slots(columns: np.ndarray, slots: list[int], num_slots: int) -> np.
 
 def _slot_of(color: str, scenario: Scenario) -> int:
     if color not in scenario.colors:
-        raise BrokenExperimentError(f"colour {color[:20]!r} is not among {', '.join(scenario.colors)}")
+        raise BrokenFileError(f"colour {color[:20]!r} is not among {', '.join(scenario.colors)}")
     return list(scenario.colors).index(color)
 
 
@@ -126,7 +126,7 @@ def _has_clips(directory: Path, scenario: Scenario, frame_step: int) -> list[boo
     for name in SEQUENCE_FOLDERS:
         counts.append(count_frames(directory / name / "rgb.mp4"))
         if counts[-1] not in (0, expected):
-            raise BrokenExperimentError(f"{name}/rgb.mp4 has {counts[-1]} frames, not {expected}")
+            raise BrokenFileError(f"{name}/rgb.mp4 has {counts[-1]} frames, not {expected}")
     return [count > 0 for count in counts]
 
 
@@ -173,22 +173,21 @@ class CoPhy:
         """Read one experiment.
 
         Raises:
-            BrokenFileError: a file is not what the format says.
-            BrokenExperimentError: the files contradict each other or the scenario.
+            BrokenFileError: a file is not what the format says, or the files contradict each other or the scenario.
         """
         ab, cd = _read_states(directory, scenario, self.frame_step)
         types = _types_by_slot(directory / "ab" / "colors.txt", scenario)
         confounders = _read_confounders(directory / "confounders.npy", scenario)
         padded = ab.shape[1] == scenario.num_slots and not _is_stacked(ab[0], list(types))  # a column per slot
         if cd.shape[1] > ab.shape[1] or (padded and cd.shape[1] != ab.shape[1]):
-            raise BrokenExperimentError(f"states.npy of AB have {ab.shape[1]} objects, of CD {cd.shape[1]}")
+            raise BrokenFileError(f"states.npy of AB have {ab.shape[1]} objects, of CD {cd.shape[1]}")
         if padded:
             slots = remaining = list(range(scenario.num_slots))
         else:  # a column per object
             slots = list(types) or np.flatnonzero(confounders[:, 0] > 0).tolist()  # without colors.txt in unknown order
             if len(slots) != ab.shape[1]:
                 source = "colors.txt" if types else "confounders.npy"
-                raise BrokenExperimentError(f"states.npy has {ab.shape[1]} objects, {source} {len(slots)}")
+                raise BrokenFileError(f"states.npy has {ab.shape[1]} objects, {source} {len(slots)}")
             remaining = _remaining_slots(directory / "cd" / "colors.txt", slots, cd.shape[1], scenario)
         states = np.stack([_move_to_slots(*each, scenario.num_slots) for each in ((ab, slots), (cd, remaining))])
         if not types and ab[0].any(axis=-1).all():
@@ -228,7 +227,7 @@ def _remaining_slots(path: Path, slots: list[int], num_columns: int, scenario: S
     if len(listed) != num_columns:
         return slots
     if unknown := sorted(set(listed) - set(slots)):
-        raise BrokenExperimentError(f"cd/colors.txt lists {list(scenario.colors)[unknown[0]]}, which is not in AB")
+        raise BrokenFileError(f"cd/colors.txt lists {list(scenario.colors)[unknown[0]]}, which is not in AB")
     return listed
 
 
@@ -236,7 +235,7 @@ def _read_confounders(path: Path, scenario: Scenario) -> np.ndarray:
     """Return mass, friction, restitution, (slot, 3); a missing restitution is the scenario's constant."""
     values = read_array(path)
     if values.ndim != 2 or len(values) != scenario.num_slots or values.shape[1] not in (2, 3):
-        raise BrokenExperimentError(f"confounders.npy has shape {values.shape}, not ({scenario.num_slots}, 2 or 3)")
+        raise BrokenFileError(f"confounders.npy has shape {values.shape}, not ({scenario.num_slots}, 2 or 3)")
     if values.shape[1] == 3:
         return values
     return np.column_stack([values, np.full(len(values), scenario.confounders.restitution[0])])
@@ -260,7 +259,7 @@ def _shapes(types: dict[int, str], scenario: Scenario) -> np.ndarray:
     if shape is not None:
         return np.full(scenario.num_slots, shape)
     if not types or not set(types.values()) <= set(SHAPES_BY_TYPE):
-        raise BrokenExperimentError(f"ab/colors.txt does not name type={'|'.join(SHAPES_BY_TYPE)} of each object")
+        raise BrokenFileError(f"ab/colors.txt does not name type={'|'.join(SHAPES_BY_TYPE)} of each object")
     shapes = np.zeros(scenario.num_slots, dtype=int)
     shapes[list(types)] = [SHAPES_BY_TYPE[kind] for kind in types.values()]
     return shapes
@@ -297,7 +296,7 @@ class FilteredCoPhy:
         counts = {"AB": ab.shape[1], "CD": cd.shape[1], "confounders.npy": len(masses), "the task": len(shapes)}
         for name, count in counts.items():
             if count != len(slots):
-                raise BrokenExperimentError(f"COLORS.txt names {len(slots)} objects, {name} has {count}")
+                raise BrokenFileError(f"COLORS.txt names {len(slots)} objects, {name} has {count}")
         order, shape, mass = np.zeros((3, scenario.num_slots))
         order[slots], shape[slots], mass[slots] = np.arange(len(slots)), shapes, masses
         constants = np.tile([grid.friction[0], grid.restitution[0]], (scenario.num_slots, 1))

@@ -8,15 +8,12 @@ import numpy as np
 from cophy.dataset.states import CONFOUNDERS_OF_OBJECTS, MAX_STATE
 from cophy.scenario import Scenario
 from cophy.scenario.confounders import ConfounderGrid
+from cophy.untrusted_files import BrokenFileError
 
 # ours, in the unit of each confounder (kg, m/s²; friction and restitution have none). Released values are 0.4 or more
 # apart, and their noise is below 0.001 (0.0997877 for 0.1)
 SNAP_TOLERANCE = 0.02
 UNIT_TOLERANCE = 0.01  # ours: how far the norm of a quaternion may be from 1
-
-
-class BrokenExperimentError(Exception):
-    """An experiment contradicts itself or its format; the message says how."""
 
 
 @dataclass
@@ -44,18 +41,18 @@ def to_row(recording: Recording, scenario: Scenario, num_objects: int) -> dict[s
     """Return the arrays of one experiment, as `ReleasedStates` has them. num_objects: the number that A must hold.
 
     Raises:
-        BrokenExperimentError: the experiment is inconsistent.
+        BrokenFileError: the experiment is inconsistent.
     """
     presence = _presence(recording.states)
     if (largest := np.abs(recording.states).max()) > MAX_STATE:
-        raise BrokenExperimentError(f"states.npy holds {largest:g}, which is more than {MAX_STATE:g}")
+        raise BrokenFileError(f"states.npy holds {largest:g}, which is more than {MAX_STATE:g}")
     if presence[0].sum() != num_objects:
-        raise BrokenExperimentError(f"AB holds {presence[0].sum()} objects, not {num_objects}")
+        raise BrokenFileError(f"AB holds {presence[0].sum()} objects, not {num_objects}")
     if not presence[1].any() or (presence[1] & ~presence[0]).any():
-        raise BrokenExperimentError("CD holds objects that AB does not, or none")
+        raise BrokenFileError("CD holds objects that AB does not, or none")
     norm = np.linalg.norm(recording.states[..., 3:7], axis=-1).swapaxes(1, 2)[presence]
     if np.abs(norm - 1).max() > UNIT_TOLERANCE:
-        raise BrokenExperimentError("columns 3 to 6 of states.npy are not unit quaternions")
+        raise BrokenFileError("columns 3 to 6 of states.npy are not unit quaternions")
     grid = scenario.confounders
     confounders = {
         name: _snap(name, values, getattr(grid, name), presence[0])
@@ -79,7 +76,7 @@ def _presence(states: np.ndarray) -> np.ndarray:
     """Return which objects are present, (2, slot): absent ones are zero at every time, and none comes or goes."""
     nonzero = (states != 0).any(axis=-1)
     if (nonzero.any(axis=1) != nonzero.all(axis=1)).any():
-        raise BrokenExperimentError("an object is zero in some frames and not in others")
+        raise BrokenFileError("an object is zero in some frames and not in others")
     return nonzero[:, 0]
 
 
@@ -89,7 +86,7 @@ def _snap(name: str, values: np.ndarray, grid: list[float], present: np.ndarray)
     wrong = present & (np.abs(values - nearest) > SNAP_TOLERANCE)
     if wrong.any():
         listed = f"{values[wrong][0]:g} is not among {', '.join(f'{value:g}' for value in grid)}"
-        raise BrokenExperimentError(f"{name} {listed}: see scenario.confounders.{name}")
+        raise BrokenFileError(f"{name} {listed}: see scenario.confounders.{name}")
     return np.where(present, np.where(np.isnan(values), np.nan, nearest), 0.0)
 
 

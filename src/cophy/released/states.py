@@ -29,7 +29,7 @@ from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import scene_fields
 from cophy.errors import CophyError
 from cophy.released.formats import FORMATS, SEQUENCE_FOLDERS
-from cophy.released.recording import BrokenExperimentError, to_row
+from cophy.released.recording import to_row
 from cophy.released.spec import ReleasedSpec, list_experiments, read_lists
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import RenderSettings
@@ -99,7 +99,7 @@ class ReleasedStates(ExperimentSet):
             try:
                 for name, value in self._read_experiment(self.spec.directory / self.spec.ids[index]).items():
                     arrays[name][row] = value
-            except (BrokenFileError, BrokenExperimentError) as error:
+            except BrokenFileError as error:
                 arrays["problem"][row] = str(error).encode()[:MAX_PROBLEM_BYTES]
             advance(1)
         path.write_bytes(encode(arrays, fields, self.attributes(shard)))
@@ -109,7 +109,7 @@ class ReleasedStates(ExperimentSet):
         if any((directory / part).is_symlink() for part in SEQUENCE_FOLDERS):
             raise BrokenFileError(f"{directory} holds links in the place of ab or cd")
         if not os.listdir(directory):
-            raise BrokenExperimentError(EMPTY_FOLDER)
+            raise BrokenFileError(EMPTY_FOLDER)
         recording = self.spec.released_format.read(directory, self.spec.scenario)
         return to_row(recording, self.spec.scenario, self.spec.num_objects)
 
