@@ -58,7 +58,8 @@ def test_a_limited_test_counts_and_compares_what_it_tested(tiny_data: Path, tmp_
 def test_a_limited_test_of_a_derenderer_counts_what_it_tested(tiny_data: Path, tmp_path: Path) -> None:
     short = ("num_images=40", "trainer.max_epochs=1", "trainer.limit_train_batches=1", "model.width=1")
     limited = ("training.batch_size=2", "trainer.limit_test_batches=1", f"hydra.run.dir={tmp_path}")
-    train("scenario=collision", "model=derenderer", *short, *limited, data=tiny_data)
+    printed = train("scenario=collision", "model=derenderer", *short, *limited, data=tiny_data)
+    assert "twins" not in printed
     assert json.loads((tmp_path / "metrics.json").read_text())["num_test"] == 2
 
 

@@ -59,7 +59,7 @@ def _lines(run: Run, content: dict[str, Any], own_metrics: Iterable[str]) -> Ite
     for name, title in IN_PERCENT.items():
         if name in metrics:
             yield title, _with_interval(content, name, ".1%")
-    if not metrics.keys() & IN_PERCENT.keys():
+    if content["copies"] and not metrics.keys() & IN_PERCENT.keys():  # a de-renderer has no copies, and no twins
         yield "No twin pairs in the test split: no measures of twins", ""
     for name in own_metrics:
         yield name, _with_interval(content, name)
