@@ -97,6 +97,12 @@ def test_the_way_a_tower_falls_identifies_cd(few_configurations: DatasetSpec, fi
     assert not failing(checks)
 
 
+def test_a_high_step_rate_can_be_doubled(few_configurations: DatasetSpec, first_pair: dict) -> None:
+    scenario = few_configurations.scenario
+    fast = replace(scenario, solver=replace(scenario.solver, step_rate_hz=9600))
+    assert not failing(list(check_convergence(first_pair, replace(few_configurations, scenario=fast), 1)))
+
+
 def test_a_limit_is_lowered_by_chance_alone() -> None:
     """Three standard deviations of a share of 98 % are 6.6 points in 40 experiments, 2.1 in 400 and 0.7 in 4,000."""
     for count, passes, fails in ((40, 0.92, 0.91), (400, 0.96, 0.955), (4000, 0.974, 0.972)):
