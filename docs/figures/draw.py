@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Patch, Rectangle
 
 from cophy.config import generated_by, settings
+from cophy.dataset.images import render_sequence
 from cophy.dataset.states import to_arrays
-from cophy.drawing.sheets import render_sequence
 from cophy.scenario import Camera, Simulator
 from cophy.scenario.rendering import Renderer
 from cophy.scenario.towers import TOWER_BLOCKS, TOWER_CELLS

@@ -190,7 +190,6 @@ def changes(config: DictConfig, hydra_config: HydraConf) -> dict[str, Any]:
     """Return what a run changes beyond its names, key -> value: choices of groups first, then keys in alphabetical order.
 
     Args:
-        config: The configuration of the run.
         hydra_config: What Hydra says of it: the choices of groups, and the overrides of the command line.
     """
     keys = {_key_of(override) for override in hydra_config.overrides.task} - {*PATH_GROUPS}

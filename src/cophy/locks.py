@@ -18,7 +18,6 @@ def locked(path: Path, *, elsewhere: str, busy: str | None = None) -> Iterator[N
     """Hold an exclusive lock on a file, which is created; links are not followed.
 
     Args:
-        path: The file.
         elsewhere: The key that chooses another folder, for the message of `NoLocksError`.
         busy: The message if another process holds the lock; None to wait for that process.
 

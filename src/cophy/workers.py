@@ -44,7 +44,6 @@ def worker_pool(
     """Yield a pool of spawned processes. If the work with it fails, they end at once; other child processes are left alone.
 
     Args:
-        workers: Number of processes.
         initializer: Called with `arguments` in each process.
 
     Raises:

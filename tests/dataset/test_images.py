@@ -10,7 +10,6 @@ import pytest
 from cophy.dataset import generation
 from cophy.dataset.experiment_set import ALL_FRAMES, INPUTS, TEST_INPUTS, NeededFrames
 from cophy.dataset.images import Images, bounding_boxes
-from cophy.drawing.sheets import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario.rendering import MODALITIES, NO_OBJECT, Backend, Frames, Renderer
 from tests.dataset.copies import IMAGE_SPEC, RENDER, copy_images, digests, empty, images
@@ -21,7 +20,14 @@ def test_what_is_stored_is_what_was_drawn(rendered: Images) -> None:
     arrays = rendered.states.load()
     with Renderer(IMAGE_SPEC.scenario, RENDER.resolution) as renderer, h5py.File(rendered.path(1), "r") as file:
         for experiment, sequence in ((6, 0), (9, 1)):
-            drawn = render_sequence(renderer, arrays, experiment, sequence, slice(None))
+            states = arrays["states"][experiment, sequence, :: IMAGE_SPEC.scenario.clock.states_per_frame]
+            drawn = renderer.render(
+                states[..., :3],
+                states[..., 3:7],
+                presence=arrays["presence"][experiment, sequence],
+                shapes=arrays["shape"][experiment].tolist(),
+                background_seed=int(arrays["background_seed"][experiment]),
+            )
             for name in MODALITIES:
                 np.testing.assert_array_equal(file[name][experiment - 6, sequence], getattr(drawn, name))
 

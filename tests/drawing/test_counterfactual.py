@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cophy.dataset.images import render_sequence
 from cophy.dataset.spec import DatasetSpec
 from cophy.drawing.counterfactual import render_positions, window_of_changes, write_counterfactual
 from cophy.drawing.files import read_frames
 from cophy.drawing.overview import write_frames
-from cophy.drawing.sheets import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario.rendering import Renderer
 

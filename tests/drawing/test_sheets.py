@@ -6,6 +6,7 @@ import matplotlib as mpl
 import numpy as np
 
 from cophy.config import settings
+from cophy.dataset.images import render_sequence
 from cophy.dataset.spec import DatasetSpec
 from cophy.drawing.sheets import (
     DEPTH_COLORMAP,
@@ -15,7 +16,6 @@ from cophy.drawing.sheets import (
     depth_colors,
     grid,
     labelled_rows,
-    render_sequence,
     segmentation_colors,
     side_by_side,
     text_block,

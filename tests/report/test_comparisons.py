@@ -256,11 +256,11 @@ def test_all_pairs_are_written_and_those_of_the_first_method_printed(
     leave_runs(tmp_path, cophynet=1.0, copy_c=2.0, npe=1.0)
     write_comparisons(tmp_path, tmp_path / "report", ["cophynet", "copy_c", "npe"])
     printed = capsys.readouterr().out
-    assert "CoPhyNet vs Copy C: MSE" in printed
-    assert "Copy C vs NPE: MSE" not in printed
+    assert "CoPhyNet vs Copy C: test MSE" in printed
+    assert "Copy C vs NPE: test MSE" not in printed
     assert max(map(len, printed.splitlines())) <= 80
     markdown, latex = ((tmp_path / "report" / f"comparisons.{kind}").read_text() for kind in ("md", "tex"))
-    assert "Copy C vs NPE: MSE" in markdown
+    assert "Copy C vs NPE: test MSE" in markdown
     assert markdown.count("## ") == 8  # 3 pairs and a count for each measure
     assert latex.count(r"\toprule") == 4
     assert latex.count("Difference: first") == markdown.count("Difference: first") == 1

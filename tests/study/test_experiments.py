@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cophy.atomic_files import appearing_whole
+from cophy.dataset.images import render_sequence
 from cophy.drawing import files
 from cophy.drawing.files import read_frames, write_video
-from cophy.drawing.overview import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario.rendering import Renderer
 from cophy.study.experiments import CLIP, CODEC, IMAGE, StudyExperiments

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from cophy.dataset.images import render_sequence
 from cophy.dataset.spec import DatasetSpec
-from cophy.drawing.sheets import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import Renderer

@@ -131,11 +131,9 @@ def check_classifier(
     """Check that a classifier predicts a binary outcome no better than by chance.
 
     Args:
-        name: the line of the audit.
         features: (experiment, feature) inputs of the classifier.
         outcome: (experiment,) bool.
         twin: (experiment,) twin pair.
-        chance: accuracy by chance.
         expected: why a higher accuracy is no fault; then there is no limit.
     """
     correct = (cross_validated_predictions(features, outcome, twin) == outcome).astype(float)

@@ -219,8 +219,6 @@ def check_confounder_shares(arrays: Arrays, scenario: Scenario, num_cells: int) 
     """Check that the values of each known confounder are equally frequent.
 
     Args:
-        arrays: arrays of the dataset.
-        scenario: its scenario.
         num_cells: number of experiments, one per cell, that share a drawn configuration.
     """
     present = arrays["object_index"] >= 0
@@ -248,9 +246,6 @@ def _check_equal_shares(name: str, values: np.ndarray, labels: Mapping[float, st
     """Check that each value has an equal share.
 
     Args:
-        name: what the values are.
-        values: stored values, any shape.
-        labels: possible values and their labels.
         draws: how many of the stored values were drawn independently.
     """
     shares = {label: float(np.isclose(values, value).mean()) for value, label in labels.items()}
@@ -313,8 +308,6 @@ def share_with_effect(arrays: Arrays, spec: DatasetSpec, *, on_changed_object: b
     """Return the share of experiments in which the D of some remaining object differs significantly from its B.
 
     Args:
-        arrays: arrays of the dataset.
-        spec: its description.
         on_changed_object: whether an effect on the displaced object counts.
     """
     threshold_m = spec.scenario.significant_effect_m or spec.scenario.min_difference
@@ -444,9 +437,7 @@ def check_stability(arrays: Arrays, standing: np.ndarray, num_objects: int) -> I
     """Check that half of the towers of CD stand, for each value of each known confounder (paper Fig. 3).
 
     Args:
-        arrays: arrays of the dataset.
         standing: (experiment,) whether the tower of CD stands.
-        num_objects: number of blocks in A.
     """
     confounders = {name: arrays["gravity"][:, axis] for axis, name in enumerate(("gravity_x", "gravity_y"))}
     for level in range(num_objects):

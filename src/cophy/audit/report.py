@@ -41,7 +41,6 @@ def audit_generated(arrays: Arrays, spec: DatasetSpec, *, replayed_pairs: int) -
 
     Args:
         arrays: arrays of the whole dataset, see `sort_by_twins`.
-        spec: its description.
         replayed_pairs: how many twin pairs are regenerated and resimulated, also under other confounders.
     """
     yield from check_states(arrays, spec)
@@ -65,9 +64,7 @@ def report_generated(states: States, directory: Path, *, replayed_pairs: int) ->
     """Audit a generated dataset: print a table, write a page, and update the dataset's card.
 
     Args:
-        states: the dataset.
         directory: where the page is written, in a folder named after the dataset.
-        replayed_pairs: how many twin pairs are resimulated.
 
     Returns:
         A line for every check that fails.

@@ -49,7 +49,6 @@ class ComposedData:
 
     Args:
         source: Source of the data that the runs are on.
-        data_dir: Where datasets are kept.
     """
 
     def __init__(self, source: str, data_dir: Path) -> None:
@@ -91,10 +90,7 @@ class ComposedData:
         """Return a generated dataset.
 
         Args:
-            scenario: Name of its scenario.
             num_objects: Number of objects in A of every experiment.
-            size: Name of its size.
-            data_seed: Its seed.
             overrides: What it changes beyond its names, see `DatasetSpec`.
 
         Raises:

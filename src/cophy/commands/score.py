@@ -78,13 +78,7 @@ def leaderboard_lines(run: Run, data_seed: int, facts: dict[str, Any], scores: S
 
 
 def make_run(config: ScoreConfig, path: Path, changes: tuple[str, ...]) -> Run:
-    """Return the names and directory of the run that holds the scores, as train.py names its own.
-
-    Args:
-        config: The configuration.
-        path: The file of predictions.
-        changes: Changes of the data beyond their names.
-    """
+    """Return the names and directory of the run that holds the scores, as train.py names its own."""
     choices = HydraConfig.get().runtime.choices
     if changes:
         raise CophyError("score.py scores data of scenario=, size= and data_seed= alone")

@@ -82,7 +82,6 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     Args:
         config: The resolved configuration.
         plain: The same configuration as nested dicts; its `trainer` holds the arguments of `lightning.Trainer`.
-        run: Names and directory.
 
     Returns:
         Validation metrics of the tested model; empty with trainer.fast_dev_run and for oracles.
@@ -195,11 +194,8 @@ def find_start(
     It only tests if the model has no parameters, predictor= is set, or the same training has finished.
 
     Args:
-        config: The configuration.
-        run: The run.
         hashes: Fingerprint of its training, and that of its code.
         trainer: Rank 0 decides for all processes.
-        network: The model.
     """
     from cophy.training.reuse import Start, start_training
     from cophy.training.trainer import decide_first, was_requeued

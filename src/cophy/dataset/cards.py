@@ -27,8 +27,6 @@ def write_card(spec: DatasetSpec, directory: Path, *, fields: Fields, audit: str
     """Write README.md.
 
     Args:
-        spec: The dataset.
-        directory: Its directory.
         fields: Fields of one of its shards.
         audit: A sentence about the result of an audit.
     """

@@ -51,7 +51,6 @@ def shuffled_batches(dataset: Dataset, batch_size: int, *, seed: int, share: Dev
     replaces it for trainer.overfit_batches.
 
     Args:
-        dataset: Dataset of the items.
         batch_size: Items in a batch of all devices together.
         seed: The order depends on it and the epoch. PyTorch adds the two, so seed 1 starts with the order that seed 0 has in
             its second epoch; but their initial weights differ.
@@ -118,6 +117,19 @@ class CounterfactualDataset(Dataset[Batch]):
 class CounterfactualDataModule(L.LightningDataModule):
     """Experiments to train, validate and test on (conf/split).
 
+    Args:
+        split: Which experiments are trained on, and which are tested on.
+        train_set: Experiments that include those to train and validate on.
+        test_set: Experiments that include those to test on; may be the same.
+        batch_size: Experiments in a batch, of all devices together.
+        workers: Processes that generate missing data.
+        seed: Seed of the training: the order of the training experiments depends on it and the epoch.
+        derenderer: Provides estimates of AB and C for the splits in `estimated`, instead of true positions.
+        estimated: Names of the splits with estimates.
+        declared: Optional inputs of the model, see `declared_inputs`.
+        needs_confounders: Whether the run needs the true confounders, as input or to learn from.
+        num_experiments: Number of training experiments, the first ones; None for all.
+
     Attributes:
         train, val, test: The three splits, after `setup`.
         test_experiments: (experiment,) index of each test experiment in its dataset.
@@ -140,21 +152,6 @@ class CounterfactualDataModule(L.LightningDataModule):
         needs_confounders: bool = False,
         num_experiments: int | None = None,
     ) -> None:
-        """Store the arguments; nothing is read yet.
-
-        Args:
-            split: Which experiments are trained on, and which are tested on.
-            train_set: Experiments that include those to train and validate on.
-            test_set: Experiments that include those to test on; may be the same.
-            batch_size: Experiments in a batch, of all devices together.
-            workers: Processes that generate missing data.
-            seed: Seed of the training: the order of the training experiments depends on it and the epoch.
-            derenderer: Provides estimates of AB and C for the splits in `estimated`, instead of true positions.
-            estimated: Names of the splits with estimates.
-            declared: Optional inputs of the model, see `declared_inputs`.
-            needs_confounders: Whether the run needs the true confounders, as input or to learn from.
-            num_experiments: Number of training experiments, the first ones; None for all.
-        """
         super().__init__()
         split.check_scenario(train_set.spec.scenario)
         self.split, self.scenario = split, train_set.spec.scenario
@@ -279,6 +276,15 @@ class ExperimentDataset(Dataset[dict[str, Tensor]]):
     the observed AB and 1 the counterfactual CD. Images: rgb (2, T, R, R, 3) uint8; depth (2, T, R, R) int32, mm;
     segmentation (2, T, R, R) uint8. Items of one dataset have equal shapes, so a DataLoader batches them.
 
+    Args:
+        experiments: A finished set.
+        split: train, val or test; None for all.
+        frames: Images of the set.
+        modalities: Which images are read.
+
+    Raises:
+        CophyError: The set is damaged.
+
     Attributes:
         scenario: Names of slots, do-operations and cells, the clock, the camera.
         rows: Indices of the experiments in the set.
@@ -292,17 +298,6 @@ class ExperimentDataset(Dataset[dict[str, Tensor]]):
         frames: FrameSource | None = None,
         modalities: Sequence[str] = (),
     ) -> None:
-        """Load the states.
-
-        Args:
-            experiments: A finished set.
-            split: train, val or test; None for all.
-            frames: Images of the set.
-            modalities: Which images are read.
-
-        Raises:
-            CophyError: The set is damaged.
-        """
         arrays = experiments.load()
         numbers = range(len(SPLITS)) if split is None else [SPLITS.index(split)]
         self.rows = np.flatnonzero(np.isin(arrays["split"], numbers))

@@ -40,18 +40,16 @@ class FrameBatch(NamedTuple):
 class FrameDataset(Dataset[FrameBatch]):
     """Frames of one split, read on access. Each is an (experiment, sequence, time) of one of several datasets.
 
+    Args:
+        sources: Images of each dataset, and its arrays.
+        split: train, val or test.
+        resolution: Width and height in pixels; larger images are averaged down.
+
     Attributes:
         index: (frame, 4) source, experiment, sequence, time.
     """
 
     def __init__(self, sources: Sequence[tuple[FrameSource, Arrays]], *, split: str, resolution: int) -> None:
-        """List the frames.
-
-        Args:
-            sources: Images of each dataset, and its arrays.
-            split: train, val or test.
-            resolution: Width and height in pixels; larger images are averaged down.
-        """
         self.sources, self.resolution = list(sources), resolution
         index = []
         for source, (images, arrays) in enumerate(sources):
@@ -130,6 +128,16 @@ class FrameDataModule(L.LightningDataModule):
     validation splits, so that a de-renderer knows every number of objects. If at least half of all frames are chosen, all
     are rendered, because predictors need the others later.
 
+    Args:
+        sets: Experiments, one set for each number of objects.
+        render: The images to take frames from; missing ones are rendered first.
+        resolution: Width and height of the de-renderer's images, pixels.
+        num_images: Frames to train on; a tenth of it to validate on, and a tenth to test on.
+        data_seed: Seed of the choice of frames.
+        batch_size: Frames in a batch, of all devices together.
+        workers: Processes that generate missing data, and that read frames.
+        seed: Seed of the training: the order of the training frames depends on it and the epoch.
+
     Attributes:
         train, val, test: The three splits, after `setup`.
     """
@@ -146,18 +154,6 @@ class FrameDataModule(L.LightningDataModule):
         workers: int,
         seed: int = 0,
     ) -> None:
-        """Store the arguments; nothing is read yet.
-
-        Args:
-            sets: Experiments, one set for each number of objects.
-            render: The images to take frames from; missing ones are rendered first.
-            resolution: Width and height of the de-renderer's images, pixels.
-            num_images: Frames to train on; a tenth of it to validate on, and a tenth to test on.
-            data_seed: Seed of the choice of frames.
-            batch_size: Frames in a batch, of all devices together.
-            workers: Processes that generate missing data, and that read frames.
-            seed: Seed of the training: the order of the training frames depends on it and the epoch.
-        """
         super().__init__()
         self.sets, self.scenario = sets, sets[0].spec.scenario
         self.render, self.resolution, self.num_images = render, resolution, num_images

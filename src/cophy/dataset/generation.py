@@ -38,8 +38,6 @@ def make(shards: ShardSet, *, workers: int, files: Files | None = None) -> None:
     """Generate missing and damaged shards, or copy them; if several processes call this at once, one of them works.
 
     Args:
-        shards: The set.
-        workers: Processes that generate.
         files: Where it is copied from; by default from the package if it is there, otherwise it is generated.
     """
     files = files or files_in_package(shards)

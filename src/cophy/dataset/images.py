@@ -162,7 +162,7 @@ class Images(ShardSet):
     def write(self, path: Path, shard: int, advance: Callable[[int], None]) -> dict[str, float]:
         """Render the frames of a shard's experiments, a sequence at a time."""
         arrays, scenario = self.states.read(shard), self.spec.scenario
-        stride, needed = scenario.clock.states_per_frame, self._mask(shard, arrays)
+        needed = self._mask(shard, arrays)
         with (
             Renderer(scenario, self.render.resolution, self.render.backend) as renderer,
             create_file(path, self.fields(shard), self.attributes(shard)) as stored,
@@ -170,17 +170,10 @@ class Images(ShardSet):
             stored["boxes"][...] = -1
             if "drawn" in stored:
                 stored["drawn"][...] = needed
-            for row, states in enumerate(arrays["states"]):
+            for row in range(len(needed)):
                 for sequence in np.flatnonzero(needed[row].any(axis=1)).tolist():
                     times = np.flatnonzero(needed[row, sequence])
-                    seen = states[sequence, ::stride][times]
-                    frames = renderer.render(
-                        seen[..., :3],
-                        seen[..., 3:7],
-                        presence=arrays["presence"][row, sequence],
-                        shapes=arrays["shape"][row].tolist(),
-                        background_seed=int(arrays["background_seed"][row]),
-                    )
+                    frames = render_sequence(renderer, arrays, row, sequence, times)
                     for name in self.render.modalities:
                         stored[name][row, sequence, times] = getattr(frames, name)
                     stored["boxes"][row, sequence, times] = bounding_boxes(frames, scenario.num_slots)
@@ -233,6 +226,20 @@ class Images(ShardSet):
     def _mask(self, shard: int, states: Arrays) -> np.ndarray:
         first = self.spec.experiments_of_shard(shard)[0]
         return self.needed.mask(states["split"], first, self.spec.scenario.clock.num_frames)
+
+
+def render_sequence(
+    renderer: Renderer, arrays: Arrays, experiment: int, sequence: int, times: slice | Sequence[int] | np.ndarray
+) -> Frames:
+    """Render frames of one sequence (0: AB, 1: CD) of a loaded dataset, at some of the frame times."""
+    states = arrays["states"][experiment, sequence, :: renderer.scenario.clock.states_per_frame][times]
+    return renderer.render(
+        states[..., :3],
+        states[..., 3:7],
+        presence=arrays["presence"][experiment, sequence],
+        shapes=arrays["shape"][experiment].tolist(),
+        background_seed=int(arrays["background_seed"][experiment]),
+    )
 
 
 def bounding_boxes(frames: Frames, num_slots: int) -> np.ndarray:

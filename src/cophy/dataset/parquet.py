@@ -83,7 +83,6 @@ def export(states: States, images: Images | None, root: Path) -> Path:
     """Write a dataset to the folder `<scenario>-<objects>` below `root`; finished files of an interrupted export are kept.
 
     Args:
-        states: The dataset.
         images: Its images, or None.
         root: Folder of all datasets, with one data card.
 

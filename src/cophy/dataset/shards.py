@@ -316,7 +316,6 @@ class ShardSet(ABC):
         """Write one shard.
 
         Args:
-            path: The file to write.
             shard: Its number.
             advance: Called with the number of experiments that were just completed.
 

@@ -33,9 +33,7 @@ def scene_fields(count: int, num_times: int, num_slots: int, *, may_be_nan: bool
     """Return the fields of `count` experiments that generated and released data share: scenes and their sequences.
 
     Args:
-        count: Number of experiments.
         num_times: States of a sequence; they are compressed one experiment at a time.
-        num_slots: Slots of the scenario.
         may_be_nan: Whether confounders may be unknown.
     """
 
@@ -117,9 +115,7 @@ def to_arrays(experiments: Sequence[Experiment], indices: Sequence[int], spec: D
     """Stack experiments.
 
     Args:
-        experiments: The experiments.
         indices: Their indices in the dataset.
-        spec: The dataset.
     """
     arrays, order = empty_arrays(experiment_fields(spec, len(indices))), spec.order
     arrays["object_index"][:] = -1

@@ -28,7 +28,6 @@ def render_positions(
     Args:
         positions: (T, K, 3) metres.
         presence: (K,) which slots hold an object.
-        scenario: scenario of the objects and the camera.
         background: (R, R, 3) uint8, the scene without objects. Objects and their shadows are drawn over it.
 
     Returns:
@@ -58,10 +57,8 @@ def write_counterfactual(
     """Write positions.csv, prediction.gif and strip.png.
 
     Args:
-        directory: where they are written.
         positions: (T, K, 3) metres, C and then the predicted D.
         presence: (K,) which slots hold an object.
-        scenario: scenario of the objects and the camera.
         observed: (T, R, R, 3) uint8 frames of AB.
         truth: frames of the true CD, where known.
         background: (R, R, 3) uint8, the scene without objects, where known. Images are cropped to what differs from it.

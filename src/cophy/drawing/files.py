@@ -164,7 +164,6 @@ def mark(frames: np.ndarray, positions: np.ndarray, presence: np.ndarray, *, cam
         frames: (T, R, R, 3) uint8.
         positions: (T, K, 3) metres.
         presence: (T, K) which slots hold an object.
-        camera: camera of the frames.
         marker: marker type of OpenCV, such as `cv2.MARKER_CROSS`.
     """
     marked = frames.copy()

@@ -7,6 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from cophy.atomic_files import write_atomically
+from cophy.dataset.images import render_sequence
 from cophy.drawing.files import encode_gif, write_image
 from cophy.drawing.sheets import (
     DEPTH_COLORMAP,
@@ -20,7 +21,6 @@ from cophy.drawing.sheets import (
     depth_colors,
     grid,
     labelled_rows,
-    render_sequence,
     resize,
     segmentation_colors,
     side_by_side,

@@ -82,8 +82,6 @@ def draw_trajectories(
         predicted: (N, T-1, K, 3) in D.
         true: (N, T-1, K, 3) in D.
         presence: (N, K) which slots hold an object.
-        colors: colours of the slots.
-        title: title of the figure.
         headings: one for each experiment, or none.
     """
     count, heights = len(initial), np.concatenate([initial[:, None], true], axis=1)[..., 2]
@@ -140,7 +138,6 @@ def draw_centres(
         predicted_presence: (N, K) which slots are predicted to hold an object.
         true: (N, K, 3) positions, metres.
         presence: (N, K) which slots hold an object.
-        camera: camera of the images.
     """
     columns = min(len(images), 4)
     rows = -(-len(images) // columns)
@@ -191,8 +188,6 @@ def draw_error_over_time(
 
     Args:
         curves: (T-1,) errors of each model, m.
-        frame_rate_hz: Frames per second.
-        title: Title of the figure.
         half_widths: (T-1,) half of the 95 % interval over clusters, m, drawn as a band unless it is NaN.
     """
     figure = Figure(figsize=(5.0, 3.2), layout="constrained")

@@ -18,6 +18,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
+from cophy.dataset.images import render_sequence
 from cophy.scenario import Scenario
 from cophy.scenario.camera import Window
 from cophy.scenario.rendering import Frames, Renderer, RenderSettings
@@ -171,20 +172,6 @@ def color_bar(colormap: str, ends: tuple[float, float], unit: str, width: int) -
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
-
-
-def render_sequence(
-    renderer: Renderer, arrays: dict[str, np.ndarray], experiment: int, sequence: int, times: slice | Sequence[int]
-) -> Frames:
-    """Render frames of one sequence (0: AB, 1: CD) of a loaded dataset, at some of the frame times."""
-    states = arrays["states"][experiment, sequence, :: renderer.scenario.clock.states_per_frame][times]
-    return renderer.render(
-        states[..., :3],
-        states[..., 3:7],
-        presence=arrays["presence"][experiment, sequence],
-        shapes=arrays["shape"][experiment].tolist(),
-        background_seed=int(arrays["background_seed"][experiment]),
-    )
 
 
 def window_of_motion(scenario: Scenario, arrays: dict[str, np.ndarray], experiments: Sequence[int]) -> Window:

@@ -116,7 +116,6 @@ class PredictionClip:
         counterfactual: (N, T, K, 3) true positions in CD.
         observed_presence: (N, K) presence in AB.
         presence: (N, K) presence in CD.
-        scenario: Objects and camera to draw with.
     """
 
     def __init__(
@@ -195,7 +194,6 @@ class DrawnPredictions:
 
     Args:
         batch: The experiments: twin pairs.
-        scenario: Their scenario.
         split: `val` or `test`, the prefix of the figures' names.
     """
 

@@ -159,6 +159,23 @@ class PairMemory(nn.Module):
 class Alongside(nn.Module):
     """Rolls D out alongside AB, object by object and frame by frame, with any number of objects in any order.
 
+    Args:
+        hidden_dim: Width of all layers.
+        edge_layers: Linear layers of messages, at least 2.
+        temperature: λ of the gate.
+        arena_half_width: Distance from the origin to each of four walls, metres; None without walls.
+        max_step: Largest displacement of an object in a step, metres.
+        replay: Whether the motion of AB can be used; otherwise m and m' are 0.
+        impulses: Whether objects change each other's motion directly; otherwise J is 0.
+        pair_memory: Whether the decoder sees r.
+        object_type: Whether the model sees the type of each object.
+        pose: Whether the model sees the orientation of each object at t = 0.
+        canonical_frame: Name of the scenario whose symmetries are removed from the positions (`cophy.models.frames`);
+            None for positions as they are.
+
+    Raises:
+        CophyError: An argument is out of its range.
+
     Attributes:
         limits_gradients: Whether it uses `limit_gradient`, which scaled losses (precision 16-mixed) undo.
     """
@@ -180,25 +197,6 @@ class Alongside(nn.Module):
         pose: bool,
         canonical_frame: str | None = None,
     ) -> None:
-        """Build encoder and decoder.
-
-        Args:
-            hidden_dim: Width of all layers.
-            edge_layers: Linear layers of messages, at least 2.
-            temperature: λ of the gate.
-            arena_half_width: Distance from the origin to each of four walls, metres; None without walls.
-            max_step: Largest displacement of an object in a step, metres.
-            replay: Whether the motion of AB can be used; otherwise m and m' are 0.
-            impulses: Whether objects change each other's motion directly; otherwise J is 0.
-            pair_memory: Whether the decoder sees r.
-            object_type: Whether the model sees the type of each object.
-            pose: Whether the model sees the orientation of each object at t = 0.
-            canonical_frame: Name of the scenario whose symmetries are removed from the positions (`cophy.models.frames`);
-                None for positions as they are.
-
-        Raises:
-            CophyError: An argument is out of its range.
-        """
         super().__init__()
         check_at_least(1, hidden_dim=hidden_dim)
         check_layers(2, edge_layers=edge_layers)

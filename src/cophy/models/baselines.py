@@ -99,20 +99,18 @@ class Replay(nn.Module):
 
     at equal times after it. A head-on AB does not show the response across, so that it is shrunk towards a prior P: the
     moving object keeps a share of its speed, the other one gets none.
+
+    Args:
+        diameter: Of both objects, metres; None in a scenario without collisions of two objects.
+        kept_speed: Share of the moving object's speed across the line of centres in the prior.
+        shrinkage: ε, the sine of the angle of impact in AB at which the prior counts as much as AB; also the smallest cosine
+            of that angle, so that a grazing impact is not blown up.
+
+    Raises:
+        CophyError: The scenario is another one, or an argument is out of its range.
     """
 
     def __init__(self, *, diameter: float | None, kept_speed: float, shrinkage: float) -> None:
-        """Store the arguments.
-
-        Args:
-            diameter: Of both objects, metres; None in a scenario without collisions of two objects.
-            kept_speed: Share of the moving object's speed across the line of centres in the prior.
-            shrinkage: ε, the sine of the angle of impact in AB at which the prior counts as much as AB; also the smallest cosine
-                of that angle, so that a grazing impact is not blown up.
-
-        Raises:
-            CophyError: The scenario is another one, or an argument is out of its range.
-        """
         super().__init__()
         if diameter is None:
             raise CophyError("model=replay: it needs one impact of two objects, so use scenario=collision")
@@ -213,6 +211,19 @@ class InteractionNetwork(nn.Module):
     The state o is [position, displacement of the previous step]; the first displacement is zero. True confounders,
     object types and poses are appended where they are enabled. The Interaction Network (Battaglia et al., NIPS 2016)
     sums over all other objects. The Neural Physics Engine (Chang et al., ICLR 2017) sums over those within a radius.
+
+    Args:
+        hidden_dim: Width of f and g.
+        edge_layers: Linear layers of f, at least 2.
+        node_layers: Linear layers of g.
+        radius: Metres within which objects act on each other; None for all (Interaction Network).
+        confounders: `ground_truth` makes the true confounders part of the state ("IN sup."), `without_pose` all but
+            shape and orientation; None none.
+        object_type: Whether the model sees the type of each object.
+        pose: Whether the model sees the orientation of each object at t = 0.
+
+    Raises:
+        CophyError: An argument is out of its range.
     """
 
     def __init__(
@@ -226,21 +237,6 @@ class InteractionNetwork(nn.Module):
         object_type: bool = False,
         pose: bool = False,
     ) -> None:
-        """Build f and g.
-
-        Args:
-            hidden_dim: Width of f and g.
-            edge_layers: Linear layers of f, at least 2.
-            node_layers: Linear layers of g.
-            radius: Metres within which objects act on each other; None for all (Interaction Network).
-            confounders: `ground_truth` makes the true confounders part of the state ("IN sup."), `without_pose` all but
-                shape and orientation; None none.
-            object_type: Whether the model sees the type of each object.
-            pose: Whether the model sees the orientation of each object at t = 0.
-
-        Raises:
-            CophyError: An argument is out of its range.
-        """
         super().__init__()
         check_at_least(1, hidden_dim=hidden_dim)
         check_layers(1, node_layers=node_layers)

@@ -74,16 +74,14 @@ class ConfounderEstimator(nn.Module):
 
     A graph convolution per frame is followed by a GRU over time that all objects share. The estimate u^k of object k is
     the hidden state of the GRU's top layer after the last frame.
+
+    Args:
+        convolution: Maps nodes (objects in one frame) and a graph to features of width `hidden_dim`.
+        hidden_dim: Width of the GRU, and of U.
+        gru_layers: Layers of the GRU.
     """
 
     def __init__(self, convolution: nn.Module, *, hidden_dim: int, gru_layers: int) -> None:
-        """Build the estimator.
-
-        Args:
-            convolution: Maps nodes (objects in one frame) and a graph to features of width `hidden_dim`.
-            hidden_dim: Width of the GRU, and of U.
-            gru_layers: Layers of the GRU.
-        """
         super().__init__()
         self.convolution = convolution
         self.gru = nn.GRU(hidden_dim, hidden_dim, gru_layers)
@@ -117,6 +115,14 @@ class Rollout(nn.Module):
 
     The GRU over the steps is ψ in the paper's appendix. It runs one step at a time, because each step depends on the
     previous one.
+
+    Args:
+        make_convolution: Builds a graph convolution for nodes of a given width.
+        input_dim: Width of a node [o, u].
+        hidden_dim: Width of all layers.
+        gru_layers: Stacked GRU cells.
+        temperature: λ of the gate.
+        gating: When stability is predicted.
     """
 
     def __init__(
@@ -129,16 +135,6 @@ class Rollout(nn.Module):
         temperature: float,
         gating: Gating,
     ) -> None:
-        """Build the networks of stability and of displacement, each with its own graph convolution.
-
-        Args:
-            make_convolution: Builds a graph convolution for nodes of a given width.
-            input_dim: Width of a node [o, u].
-            hidden_dim: Width of all layers.
-            gru_layers: Stacked GRU cells.
-            temperature: λ of the gate.
-            gating: When stability is predicted.
-        """
         super().__init__()
         self.temperature, self.gating = temperature, gating
         self.stability = make_convolution(input_dim)
@@ -186,20 +182,18 @@ class SingleStep(nn.Module):
     """Decoder of all steps at once, without recurrence (paper Table 6 left): o_t = o_0 + σ((1 - s_t)/λ) Δ_t.
 
     Here Δ_t is the displacement from C, not from the previous step.
+
+    Args:
+        make_convolution: Builds a graph convolution for nodes of a given width.
+        input_dim: Width of a node [o, u].
+        hidden_dim: Width of all layers.
+        temperature: λ of the gate.
+        num_steps: Frames of D, the same for every batch.
     """
 
     def __init__(
         self, make_convolution: MakeConvolution, *, input_dim: int, hidden_dim: int, temperature: float, num_steps: int
     ) -> None:
-        """Build the networks of stability and of displacement.
-
-        Args:
-            make_convolution: Builds a graph convolution for nodes of a given width.
-            input_dim: Width of a node [o, u].
-            hidden_dim: Width of all layers.
-            temperature: λ of the gate.
-            num_steps: Frames of D, the same for every batch.
-        """
         super().__init__()
         self.temperature = temperature
         self.stability = make_convolution(input_dim)
@@ -228,6 +222,26 @@ class CoPhyNet(nn.Module):
     With graph convolutions, CoPhyNet takes any number of objects in any order. The ablation `mlp` needs a fixed number
     and order of slots, the ablation `single_step` a fixed number of frames.
 
+    Args:
+        hidden_dim: Width of f, g, both GRUs and U (paper, appendix).
+        gru_layers: Layers of both GRUs.
+        edge_layers: Linear layers of f, at least 2.
+        node_layers: Linear layers of g, at least 2.
+        temperature: λ of the gate.
+        confounders: Source of the confounders: a value of `ConfounderSource`.
+        gating: When stability is predicted: a value of `Gating`.
+        interaction: How objects interact: a value of `Interaction`.
+        decoding: How D is predicted: a value of `Decoding`.
+        object_type: Whether the model sees the type of each object.
+        pose: Whether the model sees the orientation of each object at t = 0.
+        num_frames: T, needed for `single_step`.
+        slots: Names of the colour slots, needed for `mlp`.
+        canonical_frame: Name of the scenario whose symmetries are removed from the positions (`cophy.models.frames`);
+            None for positions as they are.
+
+    Raises:
+        CophyError: An argument is out of its range, or missing.
+
     Attributes:
         estimate_dim: Width of U; 0 if nothing is estimated.
     """
@@ -250,28 +264,6 @@ class CoPhyNet(nn.Module):
         slots: list[str] | None = None,
         canonical_frame: str | None = None,
     ) -> None:
-        """Build the estimator and the decoder.
-
-        Args:
-            hidden_dim: Width of f, g, both GRUs and U (paper, appendix).
-            gru_layers: Layers of both GRUs.
-            edge_layers: Linear layers of f, at least 2.
-            node_layers: Linear layers of g, at least 2.
-            temperature: λ of the gate.
-            confounders: Source of the confounders: a value of `ConfounderSource`.
-            gating: When stability is predicted: a value of `Gating`.
-            interaction: How objects interact: a value of `Interaction`.
-            decoding: How D is predicted: a value of `Decoding`.
-            object_type: Whether the model sees the type of each object.
-            pose: Whether the model sees the orientation of each object at t = 0.
-            num_frames: T, needed for `single_step`.
-            slots: Names of the colour slots, needed for `mlp`.
-            canonical_frame: Name of the scenario whose symmetries are removed from the positions (`cophy.models.frames`);
-                None for positions as they are.
-
-        Raises:
-            CophyError: An argument is out of its range, or missing.
-        """
         super().__init__()
         check_at_least(1, hidden_dim=hidden_dim)
         check_layers(1, gru_layers=gru_layers)

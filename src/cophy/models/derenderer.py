@@ -37,24 +37,22 @@ class Derenderer(nn.Module):
     """Three double convolutions with max-pooling between them, then a head per slot on its own share of the channels.
 
     Presence is our addition: do-operations remove objects, but the paper's de-renderer predicts no presence.
+
+    Args:
+        slots: Names of the K slots.
+        resolution: Edge of the images in pixels, a multiple of 4 (paper: 224).
+        width: Channels of the first double convolution (paper: 64). The second has twice as many, the third four
+            times as many, rounded up to a multiple of K.
+        readout: How the heads read positions: a value of `Readout`.
+
+    Raises:
+        CophyError: An argument is out of its range.
     """
 
     mean: Float[Tensor, "3"]
     deviation: Float[Tensor, "3"]
 
     def __init__(self, *, slots: Sequence[str], resolution: int, width: int, readout: Readout | str) -> None:
-        """Build the network.
-
-        Args:
-            slots: Names of the K slots.
-            resolution: Edge of the images in pixels, a multiple of 4 (paper: 224).
-            width: Channels of the first double convolution (paper: 64). The second has twice as many, the third four
-                times as many, rounded up to a multiple of K.
-            readout: How the heads read positions: a value of `Readout`.
-
-        Raises:
-            CophyError: An argument is out of its range.
-        """
         super().__init__()
         check_at_least(1, width=width)
         if resolution < 8 or resolution % 4:

@@ -61,6 +61,20 @@ class MessagePassing(nn.Module):
 class GNS(nn.Module):
     """Estimates U from AB as CoPhyNet does, and simulates D from C and U.
 
+    Args:
+        hidden_dim: Width of nodes and edges.
+        message_steps: M, steps of message passing.
+        num_velocities: Last velocities that a node has; those before C are 0.
+        max_step: Largest displacement of an object in a step, metres.
+        estimate_dim: Width of U and of the layers that estimate it.
+        gru_layers, edge_layers, node_layers: Of the estimator, see `CoPhyNet`.
+        arena_half_width: Distance from the origin to each of four walls, metres; None without walls.
+        object_type: Whether the model sees the type of each object.
+        pose: Whether the model sees the orientation of each object at t = 0.
+
+    Raises:
+        CophyError: An argument is out of its range.
+
     Attributes:
         estimate_dim: Width of U.
     """
@@ -80,22 +94,6 @@ class GNS(nn.Module):
         object_type: bool = False,
         pose: bool = False,
     ) -> None:
-        """Build estimator and simulator.
-
-        Args:
-            hidden_dim: Width of nodes and edges.
-            message_steps: M, steps of message passing.
-            num_velocities: Last velocities that a node has; those before C are 0.
-            max_step: Largest displacement of an object in a step, metres.
-            estimate_dim: Width of U and of the layers that estimate it.
-            gru_layers, edge_layers, node_layers: Of the estimator, see `CoPhyNet`.
-            arena_half_width: Distance from the origin to each of four walls, metres; None without walls.
-            object_type: Whether the model sees the type of each object.
-            pose: Whether the model sees the orientation of each object at t = 0.
-
-        Raises:
-            CophyError: An argument is out of its range.
-        """
         super().__init__()
         sizes = {"hidden_dim": hidden_dim, "message_steps": message_steps, "num_velocities": num_velocities}
         check_at_least(1, **sizes, estimate_dim=estimate_dim, gru_layers=gru_layers)

@@ -192,20 +192,19 @@ def describe(
 
 
 class Hypotheses(nn.Module):
-    """Mixture of predictions under hypotheses of masses and gravity. Its cost doubles with every block."""
+    """Mixture of predictions under hypotheses of masses and gravity. Its cost doubles with every block.
+
+    Args:
+        hidden_dim: Width of all layers.
+        num_frames: T, frames of D with the first.
+        block_size: Edge of a block, metres; None where objects are no blocks.
+        pose: Whether the model sees the yaw of the blocks.
+
+    Raises:
+        CophyError: An argument is out of its range, or objects are no blocks.
+    """
 
     def __init__(self, *, hidden_dim: int, num_frames: int, block_size: float | None, pose: bool) -> None:
-        """Build the layers.
-
-        Args:
-            hidden_dim: Width of all layers.
-            num_frames: T, frames of D with the first.
-            block_size: Edge of a block, metres; None where objects are no blocks.
-            pose: Whether the model sees the yaw of the blocks.
-
-        Raises:
-            CophyError: An argument is out of its range, or objects are no blocks.
-        """
         super().__init__()
         if block_size is None:
             raise CophyError("model=hypotheses predicts towers: it needs scenario=blocktower")

@@ -140,17 +140,15 @@ class GraphConvolution(nn.Module):
     """Eq. 1: e^k = mean_{j≠k} f(o^k, o^j),  e = mean_k e^k,  õ^k = g(o^k, e^k, e). All objects share f and g.
 
     Here o^k is the input of object k: in CoPhyNet its position, and in the decoder also u^k.
+
+    Args:
+        input_dim: Features of an object, o.
+        hidden_dim: Width of f and g, and features of õ.
+        edge_layers: Linear layers of f.
+        node_layers: Linear layers of g.
     """
 
     def __init__(self, input_dim: int, hidden_dim: int, *, edge_layers: int, node_layers: int) -> None:
-        """Build f and g.
-
-        Args:
-            input_dim: Features of an object, o.
-            hidden_dim: Width of f and g, and features of õ.
-            edge_layers: Linear layers of f.
-            node_layers: Linear layers of g.
-        """
         super().__init__()
         self.f = PairwiseMLP(input_dim, hidden_dim, layers=edge_layers)
         self.g = mlp(input_dim + 2 * hidden_dim, hidden_dim, node_layers)
@@ -168,17 +166,15 @@ class PairwiseMLP(nn.Module):
 
     Optionally f(o^k, o^j, r^kj) with features r of the pair. The first layer is linear, so it is computed in parts:
     those of receivers and senders once per object instead of once per pair.
+
+    Args:
+        input_dim: Features of an object.
+        hidden_dim: Width of all layers, and features of a message.
+        layers: Linear layers, at least 2, with ReLU between them.
+        relation_dim: Features of a pair; 0 for none.
     """
 
     def __init__(self, input_dim: int, hidden_dim: int, *, layers: int, relation_dim: int = 0) -> None:
-        """Build the MLP.
-
-        Args:
-            input_dim: Features of an object.
-            hidden_dim: Width of all layers, and features of a message.
-            layers: Linear layers, at least 2, with ReLU between them.
-            relation_dim: Features of a pair; 0 for none.
-        """
         super().__init__()
         self.receiver = nn.Linear(input_dim, hidden_dim)
         self.sender = nn.Linear(input_dim, hidden_dim, bias=False)
@@ -199,17 +195,16 @@ class PairwiseMLP(nn.Module):
 
 
 class SlotMLP(nn.Module):
-    """An MLP over the concatenated slots. It depends on their number and order, so it is not equivariant."""
+    """An MLP over the concatenated slots. It depends on their number and order, so it is not equivariant.
+
+    Args:
+        input_dim: Features of an object.
+        hidden_dim: Features of an object in the result; the MLP is `num_slots` times as wide.
+        layers: Linear layers.
+        num_slots: Slots of every batch, including empty ones.
+    """
 
     def __init__(self, input_dim: int, hidden_dim: int, *, layers: int, num_slots: int) -> None:
-        """Build the MLP.
-
-        Args:
-            input_dim: Features of an object.
-            hidden_dim: Features of an object in the result; the MLP is `num_slots` times as wide.
-            layers: Linear layers.
-            num_slots: Slots of every batch, including empty ones.
-        """
         super().__init__()
         self.network = mlp(num_slots * input_dim, num_slots * hidden_dim, layers)
 

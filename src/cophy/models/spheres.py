@@ -160,7 +160,23 @@ def _both(each: Float[Tensor, "draw ball *xy"]) -> Float[Tensor, "draw ball ball
 
 
 class FittedSpheres(nn.Module):
-    """Fits the physics to AB of each experiment, and rolls it out from C."""
+    """Fits the physics to AB of each experiment, and rolls it out from C.
+
+    Args:
+        diameter: Of every ball, m; None in a scenario without balls.
+        arena_half_width: From the centre to a wall, m; None without walls.
+        gravity_z: m/s².
+        frame_rate_hz: Of AB and D.
+        mass, friction, restitution: The values that a ball can have; restitution must be 1.
+        impacts: Impacts of a pair in a frame.
+        hypotheses: Combinations of masses and frictions in a round; all of them if they are fewer.
+        followers: Particles of the filter under each hypothesis.
+        draws: Draws of masses, frictions and velocities.
+        error: Typical error of the physics in a frame, m.
+
+    Raises:
+        CophyError: The scenario is another one, or an argument is out of its range.
+    """
 
     def __init__(
         self,
@@ -178,23 +194,6 @@ class FittedSpheres(nn.Module):
         draws: int,
         error: float,
     ) -> None:
-        """Store the arguments.
-
-        Args:
-            diameter: Of every ball, m; None in a scenario without balls.
-            arena_half_width: From the centre to a wall, m; None without walls.
-            gravity_z: m/s².
-            frame_rate_hz: Of AB and D.
-            mass, friction, restitution: The values that a ball can have; restitution must be 1.
-            impacts: Impacts of a pair in a frame.
-            hypotheses: Combinations of masses and frictions in a round; all of them if they are fewer.
-            followers: Particles of the filter under each hypothesis.
-            draws: Draws of masses, frictions and velocities.
-            error: Typical error of the physics in a frame, m.
-
-        Raises:
-            CophyError: The scenario is another one, or an argument is out of its range.
-        """
         super().__init__()
         if diameter is None or arena_half_width is None:
             raise CophyError("model=spheres: it needs balls between walls, so use scenario=balls")

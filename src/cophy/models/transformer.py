@@ -21,23 +21,22 @@ RATE_RANGE = 100.0  # ours: the fastest rate of the encoding of time ÷ the slow
 
 
 class Transformer(nn.Module):
-    """Maps AB and C to D, with any number of objects in any order."""
+    """Maps AB and C to D, with any number of objects in any order.
+
+    Args:
+        hidden_dim: Width of a token; a multiple of twice the number of heads.
+        num_layers: Layers over objects, and as many over frames.
+        num_heads: Heads of attention.
+        object_type: Whether the model sees the type of each object.
+        pose: Whether the model sees the orientation of each object at t = 0.
+
+    Raises:
+        CophyError: An argument is out of its range.
+    """
 
     def __init__(
         self, *, hidden_dim: int, num_layers: int, num_heads: int, object_type: bool = False, pose: bool = False
     ) -> None:
-        """Build the layers.
-
-        Args:
-            hidden_dim: Width of a token; a multiple of twice the number of heads.
-            num_layers: Layers over objects, and as many over frames.
-            num_heads: Heads of attention.
-            object_type: Whether the model sees the type of each object.
-            pose: Whether the model sees the orientation of each object at t = 0.
-
-        Raises:
-            CophyError: An argument is out of its range.
-        """
         super().__init__()
         check_at_least(1, num_layers=num_layers, num_heads=num_heads)
         if hidden_dim < 1 or hidden_dim % (2 * num_heads):

@@ -28,7 +28,16 @@ MASS, (GRAVITY, _, AXIS) = CONFOUNDERS.index("mass"), HORIZONTAL  # columns of t
 
 
 class Trees(nn.Module):
-    """Extremely randomised trees (Geurts et al., Machine Learning 2006) that predict D - C of one object from its `Rows`."""
+    """Extremely randomised trees (Geurts et al., Machine Learning 2006) that predict D - C of one object from its `Rows`.
+
+    Args:
+        num_trees: Trees, of whose predictions the mean is taken.
+        min_samples_leaf: Smallest number of rows in a leaf.
+        confounders: `ground_truth` adds the true confounders, and for towers what statics says of A and C under them.
+
+    Raises:
+        CophyError: An argument is out of its range.
+    """
 
     regressor: "ExtraTreesRegressor | None" = None
     scenario: Scenario
@@ -37,16 +46,6 @@ class Trees(nn.Module):
     def __init__(
         self, *, num_trees: int, min_samples_leaf: int, confounders: ConfounderInput | str | None = None
     ) -> None:
-        """Store the arguments.
-
-        Args:
-            num_trees: Trees, of whose predictions the mean is taken.
-            min_samples_leaf: Smallest number of rows in a leaf.
-            confounders: `ground_truth` adds the true confounders, and for towers what statics says of A and C under them.
-
-        Raises:
-            CophyError: An argument is out of its range.
-        """
         super().__init__()
         check_at_least(1, num_trees=num_trees, min_samples_leaf=min_samples_leaf)
         if confounders is not None and parse_option(ConfounderInput, "confounders", confounders).width < len(

@@ -127,7 +127,6 @@ class OracleForecasts(ShardSet):
         Args:
             pair: Index of the twin pair in the dataset.
             observed: (twin, T, K, 3) stored positions in AB, metres.
-            simulator: What could be is simulated with it.
 
         Raises:
             CophyError: The stored pair is another one.

@@ -84,16 +84,13 @@ def posterior(
     """Return hypotheses about D given AB.
 
     Args:
-        scenario: The scenario of the data.
         scene: A; its confounders are not used, and its velocities only as the start of fits.
-        do_operation: The do-operation that changes A to C.
         observed: (T, K, 3) positions of AB at the frame rate, metres; the first frames also determine the initial velocities.
         draws: Number of configurations, drawn from the prior, from which a search starts if not all are tried; and number
             of sampled D if more configurations than that explain AB.
         max_configurations: Up to this number of configurations (towers: of masses and gravity), all are tried; otherwise it
             limits how many are tried.
         noise: Standard deviation of the independent error of every observed coordinate, metres.
-        rng: The source of randomness.
         simulator: Use a caching simulator: samples repeat, and twins share A.
     """
     with_velocities = velocity_inference(scenario, scene, observed, simulator)
@@ -140,12 +137,9 @@ def resample(
     """Return CD of experiments that the search could have generated with the same A and C.
 
     Args:
-        scenario: The scenario of the data.
         scene: A; its confounders are not used, and its velocities only if they are known.
-        do_operation: The do-operation that changes A to C.
         draws: Number of CD; half as many if the configuration is known, because the twin's CD does not count.
         rng: The source of randomness of confounders and initial velocities.
-        simulator: The simulator of CD.
         velocity_known: Whether the initial velocities are those of the scene, instead of drawn.
         configuration: The confounders, instead of drawn ones.
 
@@ -223,13 +217,11 @@ class ConfigurationSearch:
     More and more frames of AB are compared. A configuration that is unlikely after the first ones is not simulated further.
 
     Args:
-        scenario: The scenario of the data.
         at_rest: A without velocities; its confounders are not used.
         observed: (T, K, 3) positions of AB at the frame rate, metres.
         prior: (configuration,) probabilities.
         noise: Standard deviation of every observed coordinate, metres.
         with_velocities: See `velocity_inference`.
-        simulator: The simulator of AB.
     """
 
     def __init__(

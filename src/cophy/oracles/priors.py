@@ -36,9 +36,7 @@ def configuration_prior(scenario: Scenario, scene: Scene, do_operation: DoOperat
     """Return the probability of each configuration of confounders, given A, C and the do-operation.
 
     Args:
-        scenario: The scenario.
         scene: A; its confounders and velocities are not used.
-        do_operation: The do-operation that changes A to C.
 
     Returns:
         (configuration,) probabilities.
@@ -121,10 +119,8 @@ def velocity_inference(
     """Return a function from A under any confounders to A with the initial velocities that fit AB under them.
 
     Args:
-        scenario: The scenario.
         scene: A with its true velocities, from which a fit may start; its confounders are not used.
         observed: (T, K, 3) positions of AB at the frame rate, metres.
-        simulator: The simulator of the fits.
     """
     if isinstance(scenario, Blocktower):  # towers start at rest
         return lambda scene: scene
@@ -151,9 +147,6 @@ class InitialVelocityFit:
     Args:
         observed: (T, K, 3) positions of AB at the frame rate, metres.
         velocity: (object, 2) true initial velocities, m/s.
-        solver: The scenario's solver.
-        clock: The scenario's clock.
-        simulator: The simulator of the fits.
     """
 
     def __init__(

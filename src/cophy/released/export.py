@@ -60,9 +60,6 @@ class _Experiment:
     """One experiment of a dataset, written in the released format.
 
     Args:
-        scenario: its scenario.
-        arrays: arrays of the dataset.
-        row: its index.
         pictures: rgb, segmentation and boxes of AB and CD; None for states only.
     """
 
@@ -141,7 +138,6 @@ def export(states: States, images: Images | None, root: Path) -> Path:
     """Write a generated dataset below `root`, the folder of all tasks; resume, and overwrite nothing else.
 
     Args:
-        states: the dataset.
         images: its rendered images; None for states without clips and boxes.
         root: folder of the exports of all tasks.
 

@@ -15,7 +15,7 @@ from cophy.atomic_files import write_atomically
 from cophy.bootstrap import MIN_CLUSTERS, mean, variance_of_mean
 from cophy.errors import CophyError
 from cophy.report import render
-from cophy.report.methods import split_title
+from cophy.report.methods import MEASURES, split_title
 from cophy.report.paper_tables import TRUE_POSITIONS, method_title, methods
 from cophy.report.predictions import stored_scores
 from cophy.report.runs import IN_CAPTIONS, MISSING, POSITIONS, comparable_seeds, elsewhere, notice, read_runs
@@ -29,28 +29,7 @@ DATA_SEED = "data_seed-"
 COLUMNS_OF_TEST = ("difference", "p")
 NEGLIGIBLE = 1e-9  # in the unit of tables: rounding errors
 SIGNIFICANT = 0.05  # false discovery rate
-
-
-class Measure(NamedTuple):
-    """A measure that methods are compared by.
-
-    Attributes:
-        title: As in tables, with its unit.
-        scale: Factor from the score's unit to that of tables.
-        digits: Digits after the point.
-        sign: 1 if higher is better, -1 if lower is.
-    """
-
-    title: str
-    scale: float
-    digits: int
-    sign: int
-
-
-MEASURES = {
-    "mse": Measure("MSE (m²)", 1.0, 3, -1),
-    "twin_difference_explained": Measure("Explained part of the twins' difference (%)", 100.0, 1, 1),
-}
+COMPARED = ("mse", "twin_difference_explained")  # of MEASURES
 CAPTION = (
     "Difference: first - second, paired by experiment, mean over seeds, with its 95 % t interval over clusters of test "
     "experiments and, for methods with several seeds, over training seeds; intervals are not corrected for the number of "
@@ -110,7 +89,6 @@ def compare_methods(outputs: Path, names: Sequence[str]) -> pd.DataFrame:
     """Compare every two of these methods on every split that both were tested on.
 
     Args:
-        outputs: Where train.py wrote its runs.
         names: Methods by name, for example cophynet, in_sup, cophynet+hidden_dim-8 or cophynet@derendered: a model or a row,
             what its runs change as their directories have it, and positions other than the true ones.
 
@@ -139,8 +117,9 @@ def compare_methods(outputs: Path, names: Sequence[str]) -> pd.DataFrame:
         raise CophyError(f"compare=: no two of {', '.join(names)} were tested on the same experiments of {outputs}")
     frame = pd.DataFrame(lines)
     frame["p_adjusted"] = frame.groupby("measure")["p"].transform(_adjusted)
-    better = frame["measure"].map({name: measure.sign for name, measure in MEASURES.items()}) * frame["difference"]
-    frame["outcome"] = np.sign(better).where(frame["p_adjusted"] < SIGNIFICANT, 0).astype(int)
+    signs = {name: -1 if MEASURES[name].lower_is_better else 1 for name in COMPARED}
+    better = np.sign(frame["measure"].map(signs) * frame["difference"])
+    frame["outcome"] = better.where(frame["p_adjusted"] < SIGNIFICANT, 0).astype(int)
     return frame
 
 
@@ -229,7 +208,7 @@ def _compare_pairs(tested: Mapping[str, Tested], column: Mapping[Any, Any]) -> I
             reason = "were tested on different experiments or data: not compared"
             log.warning(notice(f"{place}: {one} and {other} {reason}"))
             continue
-        for measure in MEASURES:
+        for measure in COMPARED:
             means = [
                 [mean(each.values[measure]) for each in method.scores if measure in each.values]
                 for method in (ours, others)
@@ -299,7 +278,8 @@ def _wide(rows: Mapping[str, Sequence[render.Cell]], columns: Sequence[str]) -> 
 
 def _cells(line: Mapping[Any, Any]) -> tuple[render.Cell, ...]:
     """Return the cells of a comparison: both methods and COLUMNS_OF_TEST."""
-    _, scale, digits, _ = MEASURES[line["measure"]]
+    measure = MEASURES[line["measure"]]
+    scale, digits = measure.scale, measure.digits
 
     def method(prefix: str) -> render.Cell:
         value, sd = (scale * line[f"{prefix}{name}"] for name in ("mean", "sd"))

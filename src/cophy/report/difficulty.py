@@ -48,8 +48,6 @@ def mse_by_difficulty(
         runs: Finished predictors (see `read_runs`) that were tested on this part of the dataset. A run whose predictions
             are not of the whole test split is left out; the log names it. A row shows its `comparable_seeds`.
         scores: Scores of the runs by directory.
-        arrays: The dataset.
-        spec: Its description.
         part: The part that is tested on.
 
     Returns:

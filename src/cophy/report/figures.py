@@ -41,7 +41,6 @@ def draw_predictions(
     Args:
         runs: Finished predictors, see `read_runs`.
         stored: Predictions of these runs by directory.
-        scenarios: By name.
         all_trajectories: Whether trajectories of every row and split are drawn, or only those of CoPhyNet on the default
             split, from true positions.
     """

@@ -6,7 +6,7 @@ A cell shows the runs that differ in their seed alone. Runs on different data ne
 import re
 from collections.abc import Iterator
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,23 +20,41 @@ METHOD = ["model", "ablation", "variant"]  # shared by the runs of a row
 MAX_SETTINGS = (
     3  # of a method; of more, tables show the unchanged one and the best by validation, and a sweep has its own
 )
-MEASURES = {  # metric -> title, digits, factor to the title's unit, whether lower is better, explanation
-    "mse": ("test MSE (m²)", 3, 1.0, True, ""),
-    "twin_difference_explained": (
+
+
+class Measure(NamedTuple):
+    """A measure of a method.
+
+    Attributes:
+        title: Of its table, with its unit.
+        digits: Digits after the point.
+        scale: Factor from the score's unit to that of the title.
+        lower_is_better: Whether lower is better.
+        note: An explanation for the caption.
+    """
+
+    title: str
+    digits: int
+    scale: float = 1.0
+    lower_is_better: bool = False
+    note: str = ""
+
+
+MEASURES = {
+    "mse": Measure("test MSE (m²)", 3, lower_is_better=True),
+    "twin_difference_explained": Measure(
         "explained part of the twins' difference (%)",
         1,
         100.0,
-        False,
-        "Twins share A, C and the do-operation and differ in their confounders, which only AB shows. Explained: "
+        note="Twins share A, C and the do-operation and differ in their confounders, which only AB shows. Explained: "
         "1 - Σ|ΔP - ΔD|² ÷ Σ|ΔD|², with ΔP and ΔD the predicted and the true difference between twins; 0 for any model "
         "without AB, 100 for a perfect one.",
     ),
-    "right_twin_chosen": (
+    "right_twin_chosen": Measure(
         "right twin chosen (%)",
         1,
         100.0,
-        False,
-        "How often a prediction is nearer to its own D than to its twin's; 50 by chance.",
+        note="How often a prediction is nearer to its own D than to its twin's; 50 by chance.",
     ),
 }
 VALIDATION = "val/mse"  # MSE of the validation split; no test metric has a slash in its name
@@ -172,17 +190,17 @@ def method_tables(cells: pd.DataFrame) -> Iterator[TextTable]:
 
 
 def _table(cells: pd.DataFrame, metric: str, name: str) -> TextTable:
-    title, digits, scale, lower_is_better, note = MEASURES[metric]
+    measure = MEASURES[metric]
     count = cells.groupby(["model", "ablation"])["variant"].transform("nunique")
     kept = cells[(count <= MAX_SETTINGS) | cells["is_selected"] | (cells["variant"].map(len) == 0)]
-    best = _best(kept, metric, lower_is_better=lower_is_better)
+    best = _best(kept, metric, lower_is_better=measure.lower_is_better)
     lines = kept.to_dict("index")
     orders = {index: _order(line) for index, line in lines.items()}
     rows, columns = sorted(set(orders.values())), sorted(kept["column"].unique(), key=natural)
     most = kept.groupby("column")["num_test"].max()
     cells_at = {
         (orders[index], line["column"]): measured_cell(
-            line, metric, digits, scale, first=line["num_test"] != most[line["column"]]
+            line, metric, measure.digits, measure.scale, first=line["num_test"] != most[line["column"]]
         )._replace(best=index in best)
         for index, line in lines.items()
     }
@@ -193,16 +211,16 @@ def _table(cells: pd.DataFrame, metric: str, name: str) -> TextTable:
     )
     sentences = [_description(kept)]
     if best:
-        direction = "lowest" if lower_is_better else "highest"
+        direction = "lowest" if measure.lower_is_better else "highest"
         sentences.append(
             f"Bold: {direction} of the methods that see positions of AB and C alone, each as chosen by validation."
         )
     if len(kept) < len(cells):
         sentences.append("Of the settings of a sweep, the best by validation.")
     head = table_name(cells.iloc[0])
-    short = note or " ".join(sentences)
-    caption = " ".join(filter(None, [*sentences, f"{UNCERTAINTY}.", note]))
-    return TextTable(re.sub(r"[^\w-]+", "_", f"{name}-{metric}"), f"{head}: {title}", table, caption, short)
+    short = measure.note or " ".join(sentences)
+    caption = " ".join(filter(None, [*sentences, f"{UNCERTAINTY}.", measure.note]))
+    return TextTable(re.sub(r"[^\w-]+", "_", f"{name}-{metric}"), f"{head}: {measure.title}", table, caption, short)
 
 
 def _description(cells: pd.DataFrame) -> str:

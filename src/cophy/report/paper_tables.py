@@ -123,8 +123,6 @@ def method_title(model: str, ablation: str = "full", changes: Mapping[str, str] 
     """Return the printed name of a method: that of the paper's tables, or one made of the names of model and ablation.
 
     Args:
-        model: Name of the model.
-        ablation: Name of the ablation.
         changes: What the method changes beyond these, key -> value. Keys are shortened to their last word where it is unique.
     """
     titles = {(method.model, method.ablation): method.title for method in methods().values()}

@@ -75,7 +75,6 @@ class Report:
     """Tables and figures of the runs in a folder.
 
     Args:
-        outputs: Where train.py wrote its runs.
         configurations: What the names of runs stand for.
         supplement: Results of human participants.
         models, splits: See `filter_runs`.
@@ -239,7 +238,6 @@ def _remove_earlier(directory: Path, written: Collection[str]) -> None:
     """Remove the tables and figures of an earlier report that this one did not write.
 
     Args:
-        directory: The folder of reports.
         written: Files of tables, and figures without suffix, of this report.
     """
     names = ["difficulty.csv", "difficulty.md", *(f"{table.id}.csv" for table in paper_tables())]

@@ -166,7 +166,6 @@ def paper_text_tables(filled: FilledTable, *, whole: bool) -> list[TextTable]:
     """Return a paper's table, and that of its shares of the possible gain where some are known.
 
     Args:
-        filled: The table.
         whole: Whether rows and columns without anything of ours are shown, too.
     """
     cells, shares = table_cells(filled), share_cells(filled)
@@ -192,7 +191,6 @@ def latex(table: TextTable, *, keep_intervals: bool = False) -> str:
     What failed is left out.
 
     Args:
-        table: The table.
         keep_intervals: Whether intervals are in a long table, too, on more pages.
     """
     cells = _without_failed(table.cells)

@@ -173,9 +173,6 @@ def read_runs(outputs: Path) -> pd.DataFrame:
 
     The log names each file that cannot be read. A run that was refused before it began is none.
 
-    Args:
-        outputs: Where train.py wrote its runs.
-
     Returns:
         One line per run (one of those that train nothing and differ in keys of training alone): names, directory, counts, epochs,
         metric_dims, validation_mse, inputs (optional ones that the model sees), every test metric and its interval (see

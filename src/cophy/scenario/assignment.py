@@ -56,10 +56,7 @@ def assign(
 
     Args:
         pair: Index of the twin pair in its series.
-        data_seed: Seed of the dataset.
-        num_configurations: Number of configurations of the confounders.
         seen: (configuration,) bool, the half that † splits train on; None if they hold out nothing.
-        num_do_operations: Number of kinds of do-operations.
         blocks: Kinds of block, each with the cells of its pairs.
         series: Training, validation and test are one series each. Blocks of different series are independent, so that training
             tells nothing about what is assigned to a test pair.
@@ -127,7 +124,6 @@ def select_seen(grid: ConfounderGrid, num_objects: int, symmetries: np.ndarray, 
         grid: Values of the confounders.
         num_objects: Blocks of a tower.
         symmetries: (symmetry, 2, 2) matrices on horizontal gravity.
-        data_seed: Seed of the choice.
 
     Returns:
         (configuration,) bool.
@@ -196,7 +192,6 @@ def _halve(counts: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
     Args:
         counts: (item, column) integers.
-        rng: Source of the random starts.
 
     Returns:
         (item,) bool.

@@ -162,9 +162,7 @@ class Blocktower(Scenario):
         Args:
             twins: Confounders of the first and of the second twin.
             cell: Cell of the first twin.
-            kind: Kind of do-operation.
             slots: Slots of the blocks of A, from the ground up.
-            rng: The only source of randomness.
         """
         if not _are_separable(*twins, num_levels=len(slots) - (kind == "remove_top")):
             return
@@ -196,9 +194,7 @@ class Blocktower(Scenario):
         and a block on top of it makes A. Otherwise A is first, and C has one of its blocks displaced.
 
         Args:
-            kind: Kind of do-operation.
             num_levels: Number of blocks of A.
-            rng: The only source of randomness.
             condition: Filter of the towers; None accepts all.
         """
         order = (COUNTERFACTUAL, OBSERVED) if kind == "remove_top" else (OBSERVED, COUNTERFACTUAL)

@@ -190,7 +190,6 @@ class Scenario(ABC):
             assignment: What the twin pair must be.
             slots: Slots of the objects, in the scenario's own order.
             rng: The only source of randomness.
-            simulator: Simulates the sequences.
 
         Raises:
             CophyError: Nothing fulfils the assignment; the message names the fields of the scenario to change.
@@ -202,10 +201,7 @@ class Scenario(ABC):
         """Generate both experiments of a twin pair, a pure function of the scenario and the arguments.
 
         Args:
-            num_objects: Number of objects in A.
-            data_seed: Seed of the dataset.
             pair: Index of the pair in its series.
-            simulator: Simulates the sequences.
             series: Training (0), validation (1) and test (2) pairs are one series each.
 
         Raises:

@@ -49,7 +49,6 @@ class SimulatedSearch(Scenario):
         Args:
             cell: Index into `cells`.
             slots: Slots of the objects, in the scenario's own order.
-            rng: The only source of randomness.
         """
 
     @abstractmethod
@@ -63,7 +62,6 @@ class SimulatedSearch(Scenario):
         Args:
             kind: One of the scenario's `do_operations`.
             scene: A.
-            rng: The only source of randomness.
         """
 
     def __post_init__(self) -> None:
@@ -109,7 +107,6 @@ class SimulatedSearch(Scenario):
 
         Args:
             scenes: A of both twins, or C of both.
-            simulator: Simulates the sequences.
             observed: AB of both twins if the scenes are C. Then the do-operation must matter for both.
         """
         trajectories = []

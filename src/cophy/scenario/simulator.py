@@ -84,9 +84,6 @@ class Simulator:
         Args:
             scene: Bodies at t = 0; their velocities are ignored.
             velocity: (object, 2) horizontal initial velocities, m/s.
-            frames: Number of frames to simulate.
-            solver: Settings of the solver.
-            frame_rate_hz: Frames per second.
 
         Returns:
             (frame, object, 6) positions and velocities of the scene's objects.

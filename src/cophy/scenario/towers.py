@@ -31,7 +31,6 @@ class Towers(NamedTuple):
         """Return one of the towers as a scene without confounders.
 
         Args:
-            index: Index of the tower.
             slots: Slots of its blocks, from the ground up.
             block_size: Edge of a block, metres.
             gravity_z: m/s².
@@ -103,7 +102,6 @@ def is_identifiable(falls_from: np.ndarray, stands: np.ndarray, combinations: Co
     Args:
         falls_from: (tower, combination) of A, see `TowerStatics.falls_from`.
         stands: (tower, combination) bool, of C.
-        combinations: Combinations of masses and gravity.
 
     Returns:
         (tower, combination) bool.

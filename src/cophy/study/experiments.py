@@ -9,10 +9,10 @@ import numpy as np
 from tqdm import tqdm
 
 from cophy.atomic_files import appearing_whole, without_leftovers
+from cophy.dataset.images import render_sequence
 from cophy.dataset.splits import SPLITS, Split
 from cophy.dataset.states import States, sort_by_twins
 from cophy.drawing.files import write_image, write_video
-from cophy.drawing.overview import render_sequence
 from cophy.errors import CophyError
 from cophy.scenario import Scenario
 from cophy.scenario.rendering import Renderer
@@ -77,9 +77,6 @@ def image_directory(directory: Path, scenario: str, data: str, resolution: int) 
     """Return the folder of the images of a study.
 
     Args:
-        directory: Folder of the study.
-        scenario: Name of the scenario.
-        data: Id of the dataset.
         resolution: Width and height of the images, pixels.
     """
     return directory / "pictures" / f"{scenario}-{data}-{resolution}"
@@ -89,20 +86,15 @@ class StudyExperiments:
     """Twin pairs of the test split that participants see, and pairs of the validation split for practice.
 
     Only C's first frame and AB are drawn, never D.
+
+    Args:
+        split: Split whose test half is shown.
+
+    Raises:
+        CophyError: The dataset has too few twin pairs.
     """
 
     def __init__(self, states: States, split: Split, settings: StudySettings, directory: Path) -> None:
-        """Select the experiments.
-
-        Args:
-            states: The dataset, generated.
-            split: Split whose test half is shown.
-            settings: Settings of the study.
-            directory: Folder of the study.
-
-        Raises:
-            CophyError: The dataset has too few twin pairs.
-        """
         self.states, self.split, self.settings, self.directory = states, split, settings, directory
         self.scenario = states.spec.scenario
         self.arrays = sort_by_twins(states.load(), states.spec)

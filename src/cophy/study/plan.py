@@ -58,8 +58,6 @@ class StudySettings:
         """Return the name of a study; only participants of the same study are counted together.
 
         Args:
-            scenario: Name of the scenario.
-            data: Id of the dataset.
             split: Name of the split whose test half is shown.
         """
         text = json.dumps({"data": f"{scenario}/{data}", "split": split, **asdict(self)}, sort_keys=True)
@@ -102,7 +100,6 @@ def select_pairs(pairs: np.ndarray, kinds: np.ndarray, settings: StudySettings) 
     Args:
         pairs: (pair,) indices in the dataset.
         kinds: (pair, 2) cells of the twins.
-        settings: Settings of the study.
 
     Returns:
         (num_pairs,) indices in the dataset, sorted.
@@ -126,7 +123,6 @@ def plan_tasks(number: int, pairs: np.ndarray, kinds: np.ndarray, settings: Stud
         number: Number of the participant, from 0.
         pairs: (num_pairs,) see `select_pairs`.
         kinds: (num_pairs, 2) cells of their twins.
-        settings: Settings of the study.
     """
     num_hands = len(pairs) // settings.num_assignments
     deck, place = divmod(number, num_hands)
@@ -149,7 +145,6 @@ def practice_tasks(pairs: np.ndarray, settings: StudySettings) -> list[StudyTask
 
     Args:
         pairs: (pair,) indices in the dataset, none of the test split.
-        settings: Settings of the study.
     """
     rng = np.random.default_rng((settings.seed, 3))
     selected: list[int] = rng.permutation(pairs)[: len(SETTINGS)].tolist()

@@ -151,7 +151,6 @@ def _check_headers(request: Request, names: Collection[str]) -> None:
     """Check what a proxy or a browser could understand in another way than this server.
 
     Args:
-        request: Any request.
         names: Allowed host names. Addresses are allowed, too: only names can be made to point here by another site.
 
     Raises:

@@ -90,7 +90,6 @@ class Sessions:
         """Return where the participant is. A task whose time is over is stored as late, without clicks.
 
         Args:
-            token: Token of the session.
             platform_id: Id on a crowd platform, None if the browser sent none.
 
         Raises:
@@ -117,7 +116,6 @@ class Sessions:
         """Store an answer and return its task. The same answer may be sent again and changes nothing.
 
         Args:
-            token: Token of the session.
             position: Index of the task.
             body: Decoded JSON, see `check_answer`.
 

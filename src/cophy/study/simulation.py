@@ -70,9 +70,7 @@ def simulate(experiments: StudyExperiments, *, participants: int, workers: int) 
     The previous file is replaced only when the new one is complete.
 
     Args:
-        experiments: The study.
         participants: Number of each kind.
-        workers: Processes that draw images.
     """
     path = experiments.directory / SIMULATED
     with exclusive(path), naming_file(path), appearing_whole(path) as temporary:
@@ -91,9 +89,7 @@ def take_study(sessions: Sessions, participants: int, seed: int) -> None:
     """Store the answers of simulated participants, one participant after the other.
 
     Args:
-        sessions: Participants of the kind that is simulated.
         participants: Their number.
-        seed: Seed of their answers.
     """
     scenes, strategy = sessions.experiments.scenes, STRATEGIES[sessions.kind]
     for participant_seed in tqdm(np.random.SeedSequence(seed).spawn(participants), desc=sessions.kind):
@@ -158,7 +154,6 @@ def power_curve(differences: np.ndarray, seed: int) -> pd.DataFrame:
 
     Args:
         differences: See `error_differences`; participants of a study are drawn from them with replacement.
-        seed: Seed of the draws.
 
     Returns:
         Columns people (number of participants) and power.
@@ -187,7 +182,6 @@ def draw_power(curve: pd.DataFrame, differences: np.ndarray, title: str) -> Figu
     Args:
         curve: See `power_curve`.
         differences: See `error_differences`.
-        title: First line of the title.
     """
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     axis = figure.subplots()

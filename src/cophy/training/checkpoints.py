@@ -325,7 +325,6 @@ def restore_network(checkpoint: Checkpoint, source: Path, network_class: type[nn
     Args:
         checkpoint: Of a class of cophy.models, whose shapes are compared on the meta device, before memory is allocated; or of
             `network_class`.
-        source: Where it comes from.
         network_class: A class of the user, which the user named: a checkpoint never decides what is imported.
 
     Raises:
@@ -369,9 +368,7 @@ def check_resumable(ckpt: Path, origin: dict[str, Any], network: nn.Module) -> N
     """Check that a training can continue from a checkpoint: the same settings; it may be longer.
 
     Args:
-        ckpt: The checkpoint.
         origin: Origin of the training that continues.
-        network: Its network.
 
     Raises:
         CophyError: It is not a checkpoint, or of another training (the message names the keys that differ), or its weights
@@ -394,7 +391,6 @@ def check_trained(predictor: Path, origin: dict[str, Any], network: nn.Module) -
     Args:
         predictor: The checkpoint to test instead of training.
         origin: Origin of that training.
-        network: Its network.
 
     Raises:
         CophyError: It is not a checkpoint, or of another training (the message names the keys that differ), or its weights

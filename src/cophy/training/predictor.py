@@ -73,6 +73,13 @@ def check_shapes(prediction: object, targets: Targets, network: nn.Module) -> No
 class PredictionModule(L.LightningModule):
     """Any network from `Inputs` to `Prediction`, under the paper's losses and metrics.
 
+    Args:
+        network: From `Inputs` to `Prediction`.
+        training: Losses, augmentation, optimiser.
+        scenario: Says which coordinates count, and the values of confounders.
+        seed: Augmentation and noise are functions of it, the epoch and the step.
+        metrics: Those of the user, see `own_measures`.
+
     Attributes:
         tested: After a test, on the CPU: the predictions, their batch, and (experiment,) their rows in the test split.
         standing: After a validation of towers: `standing_confusion`; None if the network does not predict stability.
@@ -92,15 +99,6 @@ class PredictionModule(L.LightningModule):
         seed: int = 0,
         metrics: Mapping[str, Any] | None = None,
     ) -> None:
-        """Wrap a network.
-
-        Args:
-            network: From `Inputs` to `Prediction`.
-            training: Losses, augmentation, optimiser.
-            scenario: Says which coordinates count, and the values of confounders.
-            seed: Augmentation and noise are functions of it, the epoch and the step.
-            metrics: Those of the user, see `own_measures`.
-        """
         super().__init__()
         self.network, self.training_settings, self.seed = network, training, seed
         self.position_loss = instantiate_function("training.loss", training.loss or MSE)

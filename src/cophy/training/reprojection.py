@@ -90,8 +90,6 @@ def check_seen(name: str, evidence: Evidence, scenario: Scenario) -> None:
 
     Args:
         name: Of the images, for the message.
-        evidence: Of these images.
-        scenario: Names the colours.
 
     Raises:
         CophyError: An object is found that the images do not show, or not at this place or in this size; or one that they show
@@ -130,7 +128,6 @@ def check_intervention(
         observed: Evidence of AB.
         initial: Evidence of C.
         moved_m: (K,) distance of each estimated position in C from that in A.
-        scenario: Its do-operations are allowed.
         num_objects: Numbers of objects in AB that the de-renderer was trained on.
 
     Raises:

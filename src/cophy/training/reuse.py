@@ -122,8 +122,6 @@ def fingerprint(
 
     Args:
         origin: The configuration as stored in checkpoints.
-        max_epochs: Epochs of the training.
-        threads: Threads of torch.
         code: See `hash_code`.
         checksums: Checksums of the training data.
         resumed_from: The checkpoint of another training that this one starts from.
@@ -144,7 +142,6 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, cod
     """Find a finished or interrupted training with this fingerprint; otherwise make room for a new one.
 
     Args:
-        run: The run.
         wanted: Fingerprint of its training.
         reuse: Whether earlier trainings are looked for.
         ckpt: The checkpoint (ckpt=) that the training starts from.

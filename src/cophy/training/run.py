@@ -222,8 +222,6 @@ def differences(key: str, value: Any, expected: Any) -> Iterator[tuple[str, Any]
 
     Args:
         key: Name of both in the whole configuration.
-        value: A value, or a dict of them.
-        expected: The same of another configuration.
     """
     if isinstance(value, dict) and isinstance(expected, dict):
         for name in sorted(value.keys() | expected.keys()):

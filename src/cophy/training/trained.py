@@ -182,7 +182,6 @@ class TrainedPredictor:
     """A predictor from a checkpoint, in evaluation mode. Only code of cophy.models and of a class that the user names runs.
 
     Args:
-        source: The checkpoint.
         scenarios: The classes of scenarios by name.
         model_class: The class of the checkpoint, for a model of the user.
 
@@ -284,8 +283,6 @@ def predict(
     Args:
         observed: (T, R, R, 3) uint8 RGB frames of AB.
         initial: (R, R, 3) uint8 RGB image of C.
-        derenderer: Finds the objects in both.
-        predictor: Predicts D from them.
 
     Raises:
         CophyError: The images do not fit the checkpoints, the de-renderer does not see what they show, or an output is not
@@ -305,7 +302,6 @@ def error_in_images(
     """Return the MSE of a prediction, m², against what the de-renderer finds in images of the true CD.
 
     Args:
-        prediction: The prediction.
         truth: (T, R, R, 3) uint8 frames of CD, of which the first shows C.
         derenderer: Finds the objects in them; where it finds none, nothing is counted.
         metric_dims: Coordinates that count.
@@ -327,8 +323,6 @@ def see(
     Args:
         observed: (T, R, R, 3) uint8 RGB frames of AB.
         initial: (R, R, 3) uint8 RGB image of C.
-        derenderer: Finds the objects in both.
-        scenario: That of the images.
 
     Returns:
         The estimates, and how well those of AB and of C agree with the images.
@@ -379,11 +373,8 @@ def derender(
 
     Args:
         sets: The datasets; they have to fit the de-renderer.
-        derenderer: Estimates them.
-        needed: The frames.
         part: Which part of the shards is made.
         parts: Number of parts. If there is only one, missing states and images are made first.
-        workers: Processes.
 
     Raises:
         CophyError: States or images are missing, which every part needs.

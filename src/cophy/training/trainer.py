@@ -64,7 +64,6 @@ def make_trainer(
     """Build a Trainer that keeps the weights with the smallest validation MSE, and the last checkpoint for resuming.
 
     Args:
-        run: Says where files go.
         origin: The configuration that every checkpoint stores.
         figures: Callback that draws validation examples.
         loggers: `_target_` and arguments of each logger (conf/logger).
@@ -215,9 +214,7 @@ def prepare_loggers(
 
     Args:
         trainer: Its loggers are prepared.
-        run: Names.
         origin: Keys of model and training.
-        arguments: Arguments of `lightning.Trainer`.
         start: Whether earlier curves belong to this training. If the run only tests, nothing is added to curves that stay.
     """
     for logger in trainer.loggers if trainer.is_global_zero and not start.keeps_curves else []:
