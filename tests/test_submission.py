@@ -211,6 +211,15 @@ def test_a_table_gives_the_numbers_of_its_arrays(truth: Truth, tmp_path: Path) -
     assert found.means() == cophy.score(Predictions(truth.experiment, position, logit), truth).means()
 
 
+def test_a_variance_in_a_file_lowers_no_error(truth: Truth, tmp_path: Path) -> None:
+    position = truth.position + 1
+    np.savez(
+        tmp_path / "mine.npz", experiment=truth.experiment, position=position, draw_variance=np.ones_like(position)
+    )
+    found = cophy.score(read_predictions_file(tmp_path / "mine.npz", truth), truth)
+    assert found.means()["mse"] == pytest.approx(1.0)
+
+
 @NEEDS_ARROW
 def test_a_table_may_hold_samples(truth: Truth, tmp_path: Path) -> None:
     samples = np.random.default_rng(0).normal(size=(len(truth.experiment), 3, *truth.position.shape[1:]))

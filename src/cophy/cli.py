@@ -244,7 +244,7 @@ def explain(error: BaseException) -> str:
             return f"{error.override} is no override: {' or '.join(sorted(named))}?"
         if list_of := re.match(r"([\w.]+)=\[", str(error.override)):
             return _explain_list(list_of[1], str(error.override))
-        return f"{error.override} is not key=value; a value with = , : or blanks needs two pairs of quotes: \"data_dir='/a=b'\""
+        return f"{error.override} is not key=value; a value with = , : ~ or blanks needs two pairs of quotes: \"data_dir='/a=b'\""
     if str(error).startswith(NO_NAME):
         return _explain_no_name(error)
     if match := NO_SWEEP.match(str(error)):

@@ -122,8 +122,6 @@ def settings(name: str, *overrides: str) -> Any:
 
 # The datasets of a configuration
 
-DATA_GROUPS = ("confounders", "source_scenario")  # the only groups besides scenario and size whose files set their keys
-
 
 def generated_by(config: DataConfig) -> list[States]:
     """Return the generated datasets that the split, or num_objects, names."""
@@ -144,21 +142,11 @@ def experiments_of(
 
 def _data_overrides(config: DataConfig) -> tuple[str, ...]:
     """Return what scenario and size change beyond their names, as `DatasetSpec.overrides`."""
-    if _is_in_a_command() and not _may_change_data(HydraConfig.get()):
-        return ()
     sources = str(HydraConfig.get().runtime.config_sources) if HydraConfig.initialized() else ""
     expected = _compose_data(config.scenario.name, config.size.name, sources)
     actual = {"scenario": asdict(config.scenario), "size": asdict(config.size)}
     changed = [pair for key in expected for pair in differences(key, actual[key], expected[key])]
     return tuple(f"++{key}={json.dumps(value, separators=(',', ':'))}" for key, value in changed)
-
-
-def _may_change_data(hydra_config: HydraConf) -> bool:
-    """Return whether the command line may change the keys of scenario or size beyond their names."""
-    if any(source.provider not in ("hydra", "main", "schema") for source in hydra_config.runtime.config_sources):
-        return True  # folders of the user, whose files may set anything
-    keys = {_key_of(override) for override in hydra_config.overrides.task}
-    return any(key in DATA_GROUPS or key.startswith(("scenario.", "size.")) for key in keys)
 
 
 @functools.cache
@@ -169,7 +157,7 @@ def _compose_data(scenario: str, size: str, sources: str) -> dict[str, Any]:
         sources: The search path of configurations, as part of the cache's key.
     """
     try:
-        config = settings("generate", f"scenario={scenario}", f"size={size}")
+        config = settings("generate", f"scenario='{scenario}'", f"size='{size}'")
     except MissingConfigException:
         return {}
     return {"scenario": asdict(config.scenario), "size": asdict(config.size)}
@@ -179,11 +167,13 @@ def _compose_data(scenario: str, size: str, sources: str) -> dict[str, Any]:
 
 PATH_GROUPS = ("scenario", "split", "model", "ablation", "source")  # groups whose choices are parts of the path
 CHOICES = ("size", "confounders", "trainer", "loss", "optimizer", "schedule")  # the choice is shorter than its keys
-COMPARED = ("size", "data_seed", "scenario", "split", "model", "training", "trainer", "derenderer")
+COMPARED = ("size", "data_seed", "scenario", "split", "model", "training", "trainer", "derenderer", "source.splits")
 COMPARED_FOR_DERENDERERS = ("render", "num_images", "num_objects")
 LONGEST = 100  # characters; file systems allow 255
 # keys that change no variant: they have no effect on results, or are themselves parts of the path
-IGNORED = {field.name for field in fields(TrainConfig)} - {*COMPARED, *COMPARED_FOR_DERENDERERS}
+IGNORED = {field.name for field in fields(TrainConfig)} - {
+    key.partition(".")[0] for key in (*COMPARED, *COMPARED_FOR_DERENDERERS)
+}
 
 
 def changes(config: DictConfig, hydra_config: HydraConf) -> dict[str, Any]:
@@ -196,11 +186,11 @@ def changes(config: DictConfig, hydra_config: HydraConf) -> dict[str, Any]:
     if {key.partition(".")[0] for key in keys} <= IGNORED:
         return {}
     choices, sources = hydra_config.runtime.choices, str(hydra_config.runtime.config_sources)
-    names = [f"{group}={choices[group]}" for group in PATH_GROUPS]
+    names = [f"{group}='{choices[group]}'" for group in PATH_GROUPS]  # quoted: a name may look like a number
     expected = _compose_choices(sources, *names)
     groups = [group for group in CHOICES if choices.get(group) != expected.hydra.runtime.choices.get(group)]
     if groups:
-        expected = _compose_choices(sources, *names, *(f"{group}={choices[group]}" for group in groups))
+        expected = _compose_choices(sources, *names, *(f"{group}='{choices[group]}'" for group in groups))
     is_derenderer = str(choices["model"]).startswith("derenderer")
     changed = {
         key: value

@@ -42,7 +42,7 @@ def load(
     Args:
         scenario: blocktower, balls or collision.
         split: train, val or test; None for all experiments.
-        size: tiny, small, 12k or paper: how many experiments.
+        size: sample, tiny, small, 12k or paper: how many experiments.
         modalities: states, rgb, depth, segmentation. States and confounders are always included.
         num_objects: Objects in A; None for the number that the scenario's default split trains on.
         data_seed: Seed of the dataset.

@@ -159,7 +159,7 @@ def _is_table(path: Path) -> bool:
 
 
 def _from_arrays(path: Path) -> Predictions:
-    arrays = read_npz(path, ["experiment"], ["position", "samples", "stable_logit", "draw_variance"])
+    arrays = read_npz(path, ["experiment"], ["position", "samples", "stable_logit"])
     if "samples" in arrays:
         samples = arrays["samples"]
         if samples.dtype.kind != "f" or samples.ndim != 5 or not samples.size:

@@ -52,6 +52,10 @@ def test_a_limited_test_counts_and_compares_what_it_tested(tiny_data: Path, tmp_
     content = json.loads((tmp_path / "metrics.json").read_text())
     assert content["num_test"] == 2
     assert content["copies"]["copy_b"] == pytest.approx(content["metrics"]["mse"])
+    few = ("trainer.limit_test_batches=0.01", f"hydra.run.dir={tmp_path / 'few'}")
+    too_few = train("scenario=collision", "model=copy_b", *few, data=tiny_data, code=1)
+    assert "trainer: You requested to check" in too_few
+    assert "Traceback" not in too_few
 
 
 @pytest.mark.slow

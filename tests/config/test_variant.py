@@ -47,6 +47,11 @@ def test_choices_come_first_then_keys_in_their_order() -> None:
     assert variant_of("+trainer.accumulate_grad_batches=2") == "+accumulate_grad_batches-2"
 
 
+def test_what_changes_the_data_is_in_it() -> None:
+    assert variant_of("model=derenderer", "render.backend=egl") == "+backend-egl"
+    assert variant_of("source=cophy", "source.root=/data", "source.splits=/lists") == "+splits-lists"
+
+
 def test_keys_of_the_same_last_word_are_told_apart() -> None:
     both = variant_of("split.train.num_objects=4", "split.test.num_objects=4")
     assert both == "+split.test.num_objects-4+split.train.num_objects-4"

@@ -123,12 +123,9 @@ def test_a_longer_training_continues_with_the_best_so_far(trained_run: Path, tin
 
 
 def test_a_time_limit_ends_the_training(tiny_data: Path, tmp_path: Path) -> None:
-    train(
-        *KEYS[:2],
-        "trainer.max_epochs=-1",
-        "schedule=constant",
-        "trainer.max_time=00:00:00:01",
-        f"hydra.run.dir={tmp_path}",
-        data=tiny_data,
-    )
+    keys = (*KEYS[:2], "trainer.max_epochs=-1", "schedule=constant", "trainer.max_time=00:00:00:01")
+    train(*keys, f"hydra.run.dir={tmp_path}", data=tiny_data)
     assert 1 <= result(tmp_path)["training_seconds"] < 20
+    last = tmp_path / "checkpoints" / "last.ckpt"
+    train(*keys, f"ckpt={last}", f"hydra.run.dir={tmp_path / 'resumed'}", data=tiny_data)
+    assert not (tmp_path / "resumed" / "checkpoints" / "last.ckpt").exists()  # its time is over

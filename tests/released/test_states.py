@@ -34,6 +34,14 @@ def test_only_the_same_lists_leave_test_experiments_unseen(towers: CoPhyTree) ->
     assert not relisted.has_same_splits(data_seed=0, trained_on=[opened.id])
 
 
+def test_a_folder_may_be_below_the_home(towers: CoPhyTree, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(towers.root.parent))
+    assert (
+        states("cophy", "blocktower", Path("~", towers.root.name)).spec.ids
+        == states("cophy", "blocktower", towers.root).spec.ids
+    )
+
+
 def test_oracles_refuse_released_data(towers: CoPhyTree) -> None:
     with pytest.raises(CophyError, match="released data lack what a simulation starts from"):
         OracleForecasts(

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from lightning.pytorch.trainer.states import TrainerFn
 
 from cophy.errors import CophyError
 from cophy.training import callbacks
-from cophy.training.callbacks import ResumeHint, Stopwatch
+from cophy.training.callbacks import BestValidation, ResumeHint, Stopwatch
 
 
 @pytest.mark.parametrize(("seconds", "num_messages"), [(0.0, 3), (3600.0, 0)])
@@ -44,6 +45,19 @@ def test_a_users_error_before_the_first_checkpoint_is_all_that_is_said(
     path = tmp_path / "last.ckpt"
     if has_checkpoint:
         path.touch()
-    ResumeHint(path).on_exception(SimpleNamespace(current_epoch=0), None, error)
+    trainer = SimpleNamespace(current_epoch=0, state=SimpleNamespace(fn=TrainerFn.TESTING))
+    ResumeHint(path).on_exception(trainer, None, error)
+    assert not caplog.text  # a test that fails stops no training
+    trainer.state.fn = TrainerFn.FITTING
+    ResumeHint(path).on_exception(trainer, None, error)
     assert logged in caplog.text
     assert bool(caplog.text) == bool(logged)
+
+
+def test_a_metric_that_a_sweep_cannot_optimise_is_named_after_the_first_validation() -> None:
+    callback = BestValidation(SimpleNamespace(), "val/msee")
+    trainer = SimpleNamespace(callback_metrics={"val/mse": torch.tensor(1.0)}, sanity_checking=True)
+    callback.on_validation_end(trainer, None)  # of a few batches, which may lack a metric
+    trainer.sanity_checking = False
+    with pytest.raises(CophyError, match=r"optimized_metric=val/msee is not among val/mse"):
+        callback.on_validation_end(trainer, None)

@@ -7,6 +7,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from lightning.pytorch.callbacks import EarlyStopping
 from torch import nn
 
 from cophy.config import composed, to_plain
@@ -14,12 +15,13 @@ from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
 from cophy.training import reuse
 from cophy.training.checkpoints import make_origin
-from cophy.training.instantiation import instantiate_function
+from cophy.training.instantiation import instantiate_function, instantiate_key
 from cophy.training.losses import MSE
 from cophy.training.reuse import fingerprint, hash_code, record_finished, start_training
 from cophy.training.run import Run
 from tests.conftest import refused
 from tests.models.networks import build
+from tests.training.saved import model_of, saved
 
 PLAIN = to_plain(composed("train"))
 CHECKSUMS = {"3-tiny": {"0.h5": "abc"}}
@@ -161,6 +163,22 @@ def run(tmp_path: Path) -> Run:
     return make_run(tmp_path, "4to4")
 
 
+def test_a_callback_and_a_schedule_of_the_user_count_and_those_of_libraries_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text("class Callback: ...\ndef schedule(optimizer, epochs): ...\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    callback = __import__("mine").Callback()
+    schedule = instantiate_key("schedule=", {"_target_": "mine.schedule"}, _partial_=True)
+    before = hash_code(CopyC()), hash_code(CopyC(), callback), hash_code(CopyC(), schedule)
+    path.write_text(path.read_text() + "# edited\n")
+    after = hash_code(CopyC()), hash_code(CopyC(), callback), hash_code(CopyC(), schedule)
+    assert [one == other for one, other in zip(before, after, strict=True)] == [True, False, False]
+    assert hash_code(CopyC(), EarlyStopping("val/mse")) == before[0]
+    del sys.modules["mine"]
+
+
 def test_a_loss_that_is_not_written_in_python_is_an_error_of_the_user() -> None:
     with pytest.raises(CophyError, match=r"training\.loss: no signature found"):
         instantiate_function("training.loss", {"_target_": "torch.nn.functional.pairwise_distance"})
@@ -199,7 +217,7 @@ def test_a_finished_training_is_found_in_a_run_with_another_test(
 @pytest.mark.parametrize(
     ("code", "said"),
     [
-        ("new", "other code (of cophy, or .py files beside your model or loss)"),
+        ("new", "other code (of cophy, or .py files next to your model, loss, callback, optimizer or schedule)"),
         ("old", "other data or settings, or another version of torch"),
     ],
 )
@@ -245,7 +263,10 @@ def test_a_finished_training_that_is_used_again_removes_no_interrupted_one(run: 
 
 
 @pytest.mark.parametrize("name", ["last.ckpt", "last_of_stopped.ckpt", "mine.ckpt"])
-def test_a_checkpoint_continues_with_the_best_of_its_own_training(name: str, run: Run) -> None:
+def test_a_checkpoint_continues_with_the_best_of_its_own_training(
+    name: str, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reuse, "is_of_one_training", lambda *paths: True)
     leave_checkpoints(run, "weights")
     start_training(run, "one", reuse=True, ckpt=None, code="new")  # removes them
     leave_checkpoints(run, "interrupted")
@@ -256,6 +277,15 @@ def test_a_checkpoint_continues_with_the_best_of_its_own_training(name: str, run
     start_training(run, "third", reuse=True, ckpt=run.checkpoints / name, code="new")
     expected = "interrupted" if name == "last_of_stopped.ckpt" else "of another"
     assert (run.checkpoints / "best.ckpt").read_text() == expected
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_best_of_another_training_next_to_a_checkpoint_is_left_alone(seed: int, run: Run, tmp_path: Path) -> None:
+    model = model_of("model.hidden_dim=8")
+    ckpt = saved(tmp_path / "last_of_balls.ckpt", model, {}, seed=0)
+    saved(tmp_path / "best.ckpt", model, {}, seed=seed)
+    start_training(run, "same", reuse=True, ckpt=ckpt, code="new")
+    assert (run.checkpoints / "best.ckpt").exists() == (seed == 0)
 
 
 def test_an_interrupted_training_never_replaces_the_checkpoint_that_is_resumed(run: Run) -> None:

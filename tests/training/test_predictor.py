@@ -11,8 +11,11 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from cophy.dataset.datamodules import CounterfactualDataset
+from cophy.dataset.frames import FrameBatch
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
+from cophy.models.derenderer import Derenderer
+from cophy.training.derenderer import DerenderingModule
 from cophy.training.metrics import VALIDATED
 from cophy.training.predictor import PredictionModule
 from cophy.types import Batch, Inputs, Prediction
@@ -55,6 +58,7 @@ WRONG = {
     "a frame too many": lambda inputs: Prediction(inputs.observed),
     "one step for all": lambda inputs: Prediction(inputs.observed[:, :1]),
     "another number of slots": lambda inputs: Prediction(inputs.observed[:, 1:, :2]),
+    "a variance, as oracles": lambda inputs: Prediction(inputs.observed[:, 1:], draw_variance=inputs.observed[:, 1:]),
     "an estimate of another width": lambda inputs: Prediction(inputs.observed[:, 1:], None, inputs.initial),
 }
 
@@ -83,6 +87,18 @@ def test_a_prediction_that_is_not_finite_stops_the_training(
     monkeypatch.setattr(module, "log_dict", lambda *_, **__: None)  # there is no trainer
     with pytest.raises(CophyError, match="Returning predicts non-finite values"):
         module.validation_step(tower_batch)
+
+
+def test_a_derenderer_that_is_not_finite_stops_its_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = Derenderer(slots=("red",), resolution=8, width=1, readout="linear")
+    torch.nn.init.constant_(next(network.parameters()), torch.nan)
+    module = DerenderingModule(network, cached_settings("train").training)
+    monkeypatch.setattr(module, "log_dict", lambda *_, **__: None)  # there is no trainer
+    batch = FrameBatch(
+        torch.zeros(1, 3, 8, 8, dtype=torch.uint8), torch.zeros(1, 1, 3), torch.ones(1, 1, dtype=torch.bool)
+    )
+    with pytest.raises(CophyError, match="Derenderer predicts non-finite values"):
+        module.validation_step(batch)
 
 
 def test_an_output_that_does_not_depend_on_parameters_stops_the_training(tower_batch: Batch) -> None:

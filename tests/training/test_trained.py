@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from cophy.config import generated_by, settings
+from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.models.baselines import CopyC
 from cophy.scenario import Shape
@@ -27,6 +29,11 @@ RENDER = {"modalities": ["rgb"], "resolution": 16, "backend": "tiny"}
 IMAGE = np.zeros((1, 16, 16, 3), np.uint8)
 SMALL = model_of("model.hidden_dim=8")
 SMALL_DERENDERER = model_of("model=derenderer", "model.resolution=16", "model.width=2", "render.resolution=16")
+
+
+def balls(data_seed: int = 0) -> States:
+    """Return the balls of a dataset; nothing is generated."""
+    return generated_by(settings("generate", "scenario=balls", "size=tiny", f"data_seed={data_seed}"))[0]
 
 
 def predictor_of(path: Path) -> TrainedPredictor:
@@ -148,7 +155,7 @@ def test_weights_without_values_are_refused(tmp_path: Path) -> None:
 
 def test_without_a_derenderer_the_error_says_how_to_get_one(tmp_path: Path) -> None:
     with pytest.raises(CophyError, match=r"no de-renderer of balls with 4 objects .* model=derenderer scenario=balls"):
-        find_derenderer(tmp_path, "balls", {4}, "4to4")
+        find_derenderer(tmp_path, [balls()], {4}, "4to4")
 
 
 def test_a_run_without_readable_weights_hides_no_other_derenderer(
@@ -158,8 +165,19 @@ def test_a_run_without_readable_weights_hides_no_other_derenderer(
     run.mkdir(parents=True)
     (run / "metrics.json").write_text("{}")
     with pytest.raises(CophyError, match="no de-renderer of balls with 4 objects"):
-        find_derenderer(tmp_path, "balls", {4}, "4to4")
+        find_derenderer(tmp_path, [balls()], {4}, "4to4")
     assert "a de-renderer is left out" in caplog.text
+
+
+@pytest.mark.parametrize("data_seed", [0, 1])
+def test_the_derenderer_of_the_same_data_seed_is_found(tmp_path: Path, data_seed: int) -> None:
+    for seed in (0, 1):
+        run = tmp_path / "balls" / "4to4" / "derenderer" / "full" / "ground_truth" / f"seed0+data_seed-{seed}"
+        (run / "checkpoints").mkdir(parents=True)
+        (run / "metrics.json").touch()
+        trained_on = [[balls(seed).id]]
+        saved(run / "checkpoints" / "best.ckpt", SMALL_DERENDERER, {}, data_seed=seed, trained_on=trained_on)
+    assert f"data_seed-{data_seed}" in str(find_derenderer(tmp_path, [balls(data_seed)], {4}, "4to4").source)
 
 
 def test_a_missing_checkpoint_is_named(tmp_path: Path) -> None:

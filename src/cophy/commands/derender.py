@@ -20,7 +20,7 @@ def main(cfg: DictConfig) -> None:
         derenderer = TrainedDerenderer(Path(settings.derenderer))
     else:
         counts = set(settings.split.counts(settings.num_objects))
-        derenderer = find_derenderer(Path(settings.outputs), settings.scenario.name, counts, settings.split.name)
+        derenderer = find_derenderer(Path(settings.outputs), sets, counts, settings.split.name)
     part, parts = settings.part, settings.parts
     needed = FRAMES[settings.frames]
     derender(sets, derenderer, needed, part=part, parts=parts, workers=settings.workers)

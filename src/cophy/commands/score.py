@@ -130,5 +130,5 @@ def run_arrays(predictions: Predictions, test: TestedSplit) -> dict[str, np.ndar
     truth, matched = test.truth, aligned(predictions, test.truth)
     names = ("experiment", "pair", "cluster", "cell", "initial", "presence", "stable")
     arrays = {name: getattr(truth, name) for name in names} | {"target": truth.position}
-    predicted = {name: getattr(matched, name) for name in ("position", "stable_logit", "draw_variance")}
+    predicted = {name: getattr(matched, name) for name in ("position", "stable_logit")}
     return arrays | {name: array for name, array in predicted.items() if array is not None}

@@ -57,8 +57,10 @@ def main(cfg: DictConfig) -> float:
         from cophy.report.run_summary import show_results
 
         show_results(run, [*config.metrics])
-    if validation and cfg.optimized_metric not in validation:
-        raise CophyError(f"optimized_metric={cfg.optimized_metric} is not among {', '.join(sorted(validation))}")
+    if validation:  # of a training that is reused
+        from cophy.training.callbacks import check_optimized
+
+        check_optimized(cfg.optimized_metric, validation)
     return validation.get(cfg.optimized_metric, math.nan)
 
 
@@ -90,7 +92,9 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     import torch
 
     from cophy.dataset.features import declared_inputs
+    from cophy.models.derenderer import Derenderer
     from cophy.training.checkpoints import build_network, make_origin
+    from cophy.training.instantiation import instantiate_key
     from cophy.training.reuse import fingerprint, hash_code, record_finished
     from cophy.training.trainer import (
         check_devices,
@@ -99,7 +103,7 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
         log_results,
         make_trainer,
         prepare_loggers,
-        restoring,
+        reporting,
         start_processes,
     )
 
@@ -110,6 +114,8 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
     L.seed_everything(config.seed, workers=True, verbose=False)
 
     network = build_network(plain["model"])
+    if isinstance(network, Derenderer) != run.model.startswith("derenderer"):
+        raise CophyError(f"model={run.model}: the names of de-renderers, and no others, begin with derenderer")
     module = make_module(network, config)
     data = make_datamodule(config, plain["model"], run, network)
     origin = make_origin(plain, data.trained_on)
@@ -120,9 +126,14 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
         )
     arguments = plain["trainer"] | {"max_epochs": num_epochs(config, network)}
     figures = module.make_figures(config.figures_every_n_epochs)
-    trainer = make_trainer(run, origin, figures, loggers=config.logger, arguments=arguments)
+    trainer = make_trainer(
+        run, origin, figures, loggers=config.logger, arguments=arguments, optimized_metric=config.optimized_metric
+    )
     check_devices(trainer, module)
-    code = hash_code(network, getattr(module, "position_loss", None))
+    optimisation = [
+        instantiate_key(f"{key}=", getattr(config.training, key), _partial_=True) for key in ("optimizer", "schedule")
+    ]
+    code = hash_code(network, getattr(module, "position_loss", None), *trainer.callbacks, *optimisation)  # type: ignore[attr-defined]
 
     with finishing(trainer.loggers):
         data.prepare_data()
@@ -154,11 +165,11 @@ def train(config: TrainConfig, plain: dict[str, Any], run: Run) -> dict[str, flo
         else:
             facts, tested = start.finished, start.checkpoint
             # also draws the validation figures of a training that is not repeated
-            with restoring(trainer, tested):
+            with reporting(trainer, tested):
                 validation = trainer.validate(module, data, ckpt_path=tested, weights_only=True, verbose=False)
             for values in validation:  # none without validation batches
                 facts["validation"] = dict(values) | facts["validation"]  # metrics that are new are added
-        with restoring(trainer, tested):
+        with reporting(trainer, tested):
             trainer.test(module, data, ckpt_path=tested, weights_only=True, verbose=False)
 
         if config.trainer.fast_dev_run:
@@ -240,8 +251,17 @@ def make_module(network: "nn.Module", config: TrainConfig) -> "PredictionModule 
     from cophy.training.losses import MSE
 
     if isinstance(network, Derenderer):
-        if config.metrics or config.training.loss != MSE:
-            raise CophyError("loss= and metrics= are for predictors of D, and this model is a de-renderer")
+        settings = config.training
+        others = {
+            "loss=": settings.loss != MSE,
+            "metrics=": config.metrics,
+            "positions=": config.positions != "ground_truth",
+            "training.num_experiments=": settings.num_experiments,
+            "training.position_noise=": settings.position_noise,
+            "training.confounder_weight=": settings.confounder_weight,
+        }
+        if given := [key for key, value in others.items() if value]:
+            raise CophyError(f"{given[0]} is for predictors of D, and this model is a de-renderer")
         return DerenderingModule(network, config.training)
     module_class = getattr(network, "module_class", PredictionModule)
     return module_class(network, config.training, config.scenario, seed=config.seed, metrics=config.metrics)
@@ -315,11 +335,12 @@ def configured_derenderer(config: TrainConfig, run: Run) -> "TrainedDerenderer":
     """Return the de-renderer that `derenderer` names, or the one among the runs that was trained on these data."""
     from cophy.training.trained import TrainedDerenderer, find_derenderer
 
+    sets = experiments_of(config, None)
     if config.derenderer is not None:
         derenderer = TrainedDerenderer(Path(config.derenderer))
     elif run.root is not None:
-        derenderer = find_derenderer(run.root, run.scenario, set(config.split.counts(None)), run.split)
+        derenderer = find_derenderer(run.root, sets, set(config.split.counts(None)), run.split)
     else:
         raise CophyError(f"positions={config.positions}: name the checkpoint of a de-renderer with derenderer=")
-    derenderer.check(experiments_of(config, None))
+    derenderer.check(sets)
     return derenderer

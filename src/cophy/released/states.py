@@ -276,6 +276,9 @@ class ReleasedSource(Source):
     root: str | None = None
     splits: str | None = None
 
+    def __post_init__(self) -> None:
+        self.root, self.splits = (path and os.path.expanduser(path) for path in (self.root, self.splits))
+
     def experiment_sets(
         self, scenario: Scenario, split: Split, num_objects: list[int] | None, data_dir: Path
     ) -> list[ReleasedStates]:

@@ -6,12 +6,14 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import lightning as L
 import torch
 from lightning.pytorch.callbacks import ModelCheckpoint, ModelSummary
+from lightning.pytorch.trainer.states import TrainerFn
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 from torch.nn.utils import get_total_norm
 from torch.optim import Optimizer
@@ -23,21 +25,31 @@ log = logging.getLogger(__name__)
 LOG_EVERY_S = 30.0  # ours: the log of a training of minutes or hours stays readable
 
 
+def check_optimized(name: str, metrics: Mapping[str, float]) -> None:
+    """Refuse optimized_metric= if it is no metric of validation."""
+    if name not in metrics:
+        raise CophyError(f"optimized_metric={name} is not among {', '.join(sorted(metrics))}")
+
+
 class BestValidation(L.Callback):
     """Keeps the validation metrics of the epoch with the best val/mse, across resumption, even if the run directory moved.
 
     Args:
         checkpoint: Saves the weights of that epoch as best.ckpt. Its own state, which names paths, is never restored: it
             continues from these metrics if this run has that file.
+        needed: The metric that a sweep optimises.
     """
 
-    def __init__(self, checkpoint: ModelCheckpoint) -> None:
-        self.checkpoint = checkpoint
+    def __init__(self, checkpoint: ModelCheckpoint, needed: str) -> None:
+        self.checkpoint, self.needed = checkpoint, needed
         self.metrics: dict[str, float] = {}
 
     def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         metrics = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
-        if not trainer.sanity_checking and metrics.get("val/mse", math.inf) < self.metrics.get("val/mse", math.inf):
+        if trainer.sanity_checking:
+            return
+        check_optimized(self.needed, metrics)
+        if metrics.get("val/mse", math.inf) < self.metrics.get("val/mse", math.inf):
             self.metrics = metrics
 
     def state_dict(self) -> dict[str, Any]:
@@ -106,6 +118,8 @@ class ResumeHint(L.Callback):
         self.checkpoint = checkpoint
 
     def on_exception(self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException) -> None:
+        if trainer.state.fn != TrainerFn.FITTING:  # a test
+            return
         if self.checkpoint.exists():
             log.warning(
                 "stopped in epoch %d: run the same command to continue from %s", trainer.current_epoch, self.checkpoint

@@ -377,12 +377,16 @@ def check_resumable(ckpt: Path, origin: dict[str, Any], network: nn.Module) -> N
     checkpoint = _read(ckpt, "ckpt", "last.ckpt")
     if not checkpoint.has_optimizer:
         raise CophyError(f"ckpt={ckpt} holds only weights, for tests and predictions: use the run's last.ckpt")
-    stored, wanted = _settings(checkpoint.origin), _settings(origin)
-    if keys := _differing(*({key: each[key] for key in each.keys() - MAY_CHANGE} for each in (stored, wanted))):
+    if keys := _differing(_lasting_settings(checkpoint.origin), _lasting_settings(origin)):
         raise CophyError(
             f"ckpt={ckpt} belongs to another training ({keys}): use the same settings, or train from scratch"
         )
     _check_weights(ckpt, checkpoint, network)
+
+
+def is_of_one_training(*checkpoints: Path) -> bool:
+    """Return whether two checkpoints are of one training, or of a shorter and a longer one."""
+    return not _differing(*(_lasting_settings(read_checkpoint(read_file(each), each).origin) for each in checkpoints))
 
 
 def check_trained(predictor: Path, origin: dict[str, Any], network: nn.Module) -> None:
@@ -421,6 +425,11 @@ def _settings(origin: dict[str, Any]) -> dict[str, Any]:
     groups |= {f"split.{key}": origin["split"].get(key) for key in ("train", "epochs_factor")}
     groups["data"] = origin["trained_on"]
     return {key: value for key, value in flatten(groups).items() if key not in NO_EFFECT}
+
+
+def _lasting_settings(origin: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings that stay when a training continues."""
+    return {key: value for key, value in _settings(origin).items() if key not in MAY_CHANGE}
 
 
 def _differing(stored: dict[str, Any], wanted: dict[str, Any]) -> str:

@@ -11,8 +11,9 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from cophy.dataset.frames import FrameBatch, FrameDataModule
+from cophy.errors import CophyError
 from cophy.models.derenderer import Derendered, Derenderer
-from cophy.training.metrics import PerExperiment, gather_devices, over_objects
+from cophy.training.metrics import NOT_FINITE, PerExperiment, gather_devices, over_objects
 from cophy.training.optimisation import make_optimizer
 from cophy.training.run import Results
 from cophy.training.settings import Training
@@ -57,7 +58,10 @@ class DerenderingModule(L.LightningModule):
         return self._step("train", batch)
 
     def validation_step(self, batch: FrameBatch) -> STEP_OUTPUT:
-        return self._step("val", batch)
+        loss = self._step("val", batch)
+        if not torch.isfinite(loss):
+            raise CophyError(f"{type(self.network).__name__} {NOT_FINITE}")
+        return loss
 
     def on_test_epoch_start(self) -> None:
         self._test_steps: list[dict[str, Tensor]] = []

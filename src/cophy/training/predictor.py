@@ -57,6 +57,8 @@ def check_shapes(prediction: object, targets: Targets, network: nn.Module) -> No
     estimate = prediction.confounder_estimate
     if estimate is None and width:
         raise CophyError(f"{name} has an estimate_dim, but returns no confounder_estimate")
+    if prediction.draw_variance is not None:  # it would be subtracted from squared errors
+        raise CophyError(f"{name} returns draw_variance, which is for oracles")
     expected: list[tuple[str, Tensor | None, tuple[tuple[int, ...], ...]]] = [
         ("position", prediction.position, ((size, steps, slots, 3),)),
         ("stable_logit", prediction.stable_logit, ((size, steps, slots), (size, 1, slots))),
@@ -148,7 +150,6 @@ class PredictionModule(L.LightningModule):
             if data.knows_confounders and not data.estimated:
                 train = data.train.batch
                 estimate = collect_estimates(self.network, train.inputs, batch_size=self.training_settings.batch_size)
-                assert estimate is not None
                 probed = probe(Probed(estimate, train.targets), tested)
                 arrays, values = arrays | probed, {**values, **probe_accuracies(probed)}
         copies = {

@@ -24,17 +24,14 @@ class Probed(NamedTuple):
     targets: Targets
 
 
-def collect_estimates(
-    network: nn.Module, inputs: Inputs, *, batch_size: int
-) -> Float[Tensor, "batch slots hidden"] | None:
-    """Return the estimate U of all experiments, or None if the network has none."""
+def collect_estimates(network: nn.Module, inputs: Inputs, *, batch_size: int) -> Float[Tensor, "batch slots hidden"]:
+    """Return the estimate U of all experiments, by a network that has one."""
     parts, weights = [], next(network.parameters(), torch.zeros(()))
     inputs = move_to(inputs, weights.device, weights.dtype)
     with torch.no_grad():
         for start in range(0, len(inputs), batch_size):
             part = network.eval()(take(inputs, slice(start, start + batch_size)))
-            if part.confounder_estimate is None:
-                return None
+            assert part.confounder_estimate is not None
             parts.append(part.confounder_estimate)
     return torch.cat(parts)
 

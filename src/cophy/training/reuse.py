@@ -24,7 +24,7 @@ from torch import nn
 import cophy
 from cophy.atomic_files import read_json, sha256, write_atomically
 from cophy.errors import CophyError
-from cophy.training.checkpoints import read_file
+from cophy.training.checkpoints import is_of_one_training, read_file
 from cophy.training.run import Run
 
 log = logging.getLogger(__name__)
@@ -32,6 +32,7 @@ log = logging.getLogger(__name__)
 PACKAGE = Path(cophy.__file__).parent
 MODELS = PACKAGE / "models"
 CODE = ("scenario", "dataset", "training")  # the subpackages that weights depend on as a whole
+LIBRARIES = {"torch", "lightning", "pytorch_optimizer"}  # whose code is not hashed
 FINISHED, BEGUN = "finished.json", "begun.json"
 STOPPED = {"last.ckpt": "last_of_stopped.ckpt", "best.ckpt": "best_of_stopped.ckpt"}  # of an interrupted training
 NOTES: dict[str, dict[str, Any]] = {  # the types of what they hold
@@ -65,14 +66,15 @@ def hash_code(*parts: object) -> str:
     """Hash the source that weights depend on.
 
     This is the code of the training, the model with all files of `cophy.models` that it or the training imports, and the files next
-    to a model or a loss of the user. Other models do not count, so an edit of one does not train the others again.
+    to a model, loss, callback, optimiser or schedule of the user. Other models do not count, so an edit of one does not train the
+    others again.
 
     Call it before data are generated, so that an edit in the meantime counts for the next command.
     """
     folders, modules = [PACKAGE / name for name in CODE], []
     for part in filter(None, parts):  # a de-renderer has no loss of positions
         written = inspect.unwrap(part.func) if isinstance(part, partial) else type(part)  # a decorator is elsewhere
-        source = inspect.getsourcefile(written)
+        source = None if written.__module__.partition(".")[0] in LIBRARIES else inspect.getsourcefile(written)
         if source and PACKAGE not in Path(source).parents:
             folders.append(Path(source).parent)
         if isinstance(part, nn.Module):
@@ -164,16 +166,17 @@ def start_training(run: Run, wanted: str, *, reuse: bool, ckpt: Path | None, cod
         resumed = stopped["resumed"] + 1
         _write(run.checkpoints, BEGUN, {"fingerprint": wanted, "resumed": resumed})
         return Start(None, last, resumed + (ckpt is not None), keeps_curves=True)
-    best = None  # the best epoch of the training that `ckpt` is from
-    if ckpt is not None:
-        path = ckpt.with_name(STOPPED["best.ckpt"] if ckpt.name == STOPPED["last.ckpt"] else "best.ckpt")
-        best = read_file(path) if path.is_file() else None
     is_last = ckpt is not None and last.exists() and ckpt.samefile(last)
     older = last.with_name(STOPPED[last.name])
     if ckpt is not None and stopped and last.exists() and older.exists() and ckpt.samefile(older):
         raise CophyError(
             f"{last}, of another interrupted training, would take the name of {ckpt}: move one of them elsewhere"
         )
+    best = None  # the best epoch of the training that `ckpt` is from
+    if ckpt is not None:
+        path = ckpt.with_name(STOPPED["best.ckpt"] if ckpt.name == STOPPED["last.ckpt"] else "best.ckpt")
+        if path.is_file() and is_of_one_training(path, ckpt):
+            best = read_file(path)
     _clear(run, keeps_last=bool(stopped) or is_last)
     if best is not None:  # the best epoch so far may remain the best
         run.checkpoints.mkdir(parents=True, exist_ok=True)
@@ -212,7 +215,7 @@ def _find_finished(run: Run, wanted: str) -> Path | None:
 def _difference(finished: dict[str, Any], code: str) -> str:
     """Return in words what differs from a finished training."""
     if finished["code"] != code:
-        return "other code (of cophy, or .py files beside your model or loss)"
+        return "other code (of cophy, or .py files next to your model, loss, callback, optimizer or schedule)"
     return "other data or settings, or another version of torch"
 
 

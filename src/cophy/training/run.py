@@ -53,7 +53,7 @@ RUN_NAMES = ("scenario", "split", "model", "ablation", "positions", "seed", "siz
 NO_RESULT = {
     *("trainer.accelerator", "trainer.devices", "trainer.num_nodes", "trainer.strategy", "trainer.profiler"),
     *("trainer.enable_progress_bar", "trainer.enable_model_summary", "trainer.log_every_n_steps"),
-    *("scenario.task.splits", "render.backend"),
+    "scenario.task.splits",
 }
 
 

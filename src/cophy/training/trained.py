@@ -90,11 +90,15 @@ class TrainedDerenderer:
                 raise CophyError(
                     f"the de-renderer {self.source} was trained on another scenario (its {', '.join(keys)} differ)"
                 )
-            if not experiments.has_same_splits(**self._training_data):
+            if not self.has_same_splits(experiments):
                 raise CophyError(
                     f"the de-renderer {self.source} was trained with another data seed, or with other lists: it may "
                     f"have seen the test experiments of {experiments.id} in training"
                 )
+
+    def has_same_splits(self, experiments: ExperimentSet) -> bool:
+        """Return whether its training had the splits of these experiments, so that it has seen none of their tests."""
+        return experiments.has_same_splits(**self._training_data)
 
     def __call__(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """De-render (N, R, R, 3) uint8 images to positions (N, K, 3) in metres and presence logits (N, K).
@@ -140,14 +144,18 @@ class TrainedDerenderer:
         return self._network
 
 
-def find_derenderer(outputs: Path, scenario: str, num_objects: set[int], split: str) -> TrainedDerenderer:
-    """Find the de-renderer among the runs in `outputs` that was trained on a scenario with these numbers of objects.
+def find_derenderer(
+    outputs: Path, sets: Sequence[ExperimentSet], num_objects: set[int], split: str
+) -> TrainedDerenderer:
+    """Find the de-renderer among the runs in `outputs` that was trained on the scenario of `sets` with these numbers of objects.
 
-    If there are several, take the one trained for the same split, or the one trained on no other numbers of objects.
+    If there are several, take those that cannot have seen test experiments of `sets`; of these, the one trained for the same
+    split, or the one trained on no other numbers of objects.
 
     Raises:
         CophyError: There is none, or more than one is left.
     """
+    scenario = sets[0].spec.scenario.name
     runs = sorted(outputs.glob(f"{scenario}/*/derenderer*/*/*/seed*/metrics.json"))
     by_name: dict[str, TrainedDerenderer] = {}
     for path in (run.parent / "checkpoints" / "best.ckpt" for run in runs):
@@ -158,6 +166,7 @@ def find_derenderer(outputs: Path, scenario: str, num_objects: set[int], split: 
         else:
             by_name[derenderer.name] = derenderer
     suitable = [derenderer for derenderer in by_name.values() if num_objects <= derenderer.num_objects]
+    suitable = [each for each in suitable if all(map(each.has_same_splits, sets))] or suitable
     suitable = [derenderer for derenderer in suitable if derenderer.split == split] or suitable
     suitable = [derenderer for derenderer in suitable if derenderer.num_objects == num_objects] or suitable
     if len(suitable) == 1:

@@ -18,7 +18,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.accelerators import CPUAccelerator
-from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint
+from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint, Timer
 from lightning.pytorch.loggers import Logger
 from lightning.pytorch.plugins.environments import SLURMEnvironment
 from lightning.pytorch.strategies import DDPStrategy
@@ -60,6 +60,7 @@ def make_trainer(
     *,
     loggers: dict[str, Any],
     arguments: dict[str, Any],
+    optimized_metric: str,
 ) -> L.Trainer:
     """Build a Trainer that keeps the weights with the smallest validation MSE, and the last checkpoint for resuming.
 
@@ -68,6 +69,7 @@ def make_trainer(
         figures: Callback that draws validation examples.
         loggers: `_target_` and arguments of each logger (conf/logger).
         arguments: Arguments of `lightning.Trainer` (conf/trainer).
+        optimized_metric: What a sweep optimises, refused if validation does not have it.
 
     Raises:
         CophyError: A logger or callback cannot be built, Lightning refuses an argument, or on SLURM it would continue from a
@@ -85,7 +87,7 @@ def make_trainer(
     callbacks = [
         *(best, last, StopTogether()),
         *([LearningRateMonitor("epoch")] if loggers else []),
-        *(GradientNorm(), figures, BestValidation(best), Stopwatch(str(run.place))),
+        *(GradientNorm(), figures, BestValidation(best, optimized_metric), Stopwatch(str(run.place))),
         *(instantiate_key(f"callbacks={name}", keys) for name, keys in origin["training"]["callbacks"].items()),
         ResumeHint(run.checkpoints / "last.ckpt"),
         *([NetworkSize()] if arguments["enable_model_summary"] else []),
@@ -95,6 +97,7 @@ def make_trainer(
     if slurm and (names := sorted(run.directory.glob("hpc_ckpt_*"))):
         raise CophyError(f"{names[0]}: Lightning would continue from it, but train.py writes no such file: delete it")
     states = {each.state_key for each in callbacks if not isinstance(each, ModelCheckpoint)}
+    states.add(Timer.__qualname__)  # which Lightning adds for trainer.max_time
     try:
         trainer = L.Trainer(
             logger=built_loggers,
@@ -126,10 +129,8 @@ def fit(
         SystemExit: The process was asked to end (SIGTERM).
     """
     try:
-        with restoring(trainer, ckpt):
+        with reporting(trainer, ckpt):
             trainer.fit(module, data, ckpt_path=ckpt, weights_only=True)
-    except MisconfigurationException as error:
-        raise CophyError(f"trainer: {error}") from error
     except torch.linalg.LinAlgError as error:  # SOAP's
         raise CophyError(
             f"training: gradients are too large for the optimizer, lower learning_rate ({error})"
@@ -145,10 +146,12 @@ def fit(
 
 
 @contextmanager
-def restoring(trainer: L.Trainer, ckpt: Path | None) -> Iterator[None]:
-    """Report errors that Lightning raises while it restores a checkpoint as errors of that checkpoint."""
+def reporting(trainer: L.Trainer, ckpt: Path | None) -> Iterator[None]:
+    """Report what Lightning refuses as an error of the trainer's arguments, or of the checkpoint that it restores."""
     try:
         yield
+    except MisconfigurationException as error:
+        raise CophyError(f"trainer: {error}") from error
     except LOADING_ERRORS as error:
         if ckpt is None or not trainer._checkpoint_connector._loaded_checkpoint:  # kept until all is restored
             raise
@@ -244,9 +247,8 @@ def finishing(loggers: list[Logger]) -> Iterator[None]:
         yield
     finally:
         for logger in loggers:
-            if isinstance(logger, Curves):  # reading its writer would create a file
-                continue
-            if finish := getattr(getattr(logger, "experiment", None), "finish", None):
+            # not the property `experiment`, which would create one
+            if finish := getattr(getattr(logger, "_experiment", None), "finish", None):
                 finish()
 
 
