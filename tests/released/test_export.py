@@ -17,6 +17,7 @@ from cophy.dataset.states import States
 from cophy.errors import CophyError
 from cophy.released.export import export
 from cophy.released.states import ReleasedSource
+from cophy.scenario import Scenario
 from cophy.scenario.rendering import NO_OBJECT, Backend, Frames, RenderSettings
 from cophy.untrusted_files import count_frames
 from tests.conftest import SCENARIOS, raising, settings, tiny_spec
@@ -31,7 +32,8 @@ class Drawer:
 
     camera_seconds = 0.0
 
-    def __init__(self, *args: Any) -> None: ...
+    def __init__(self, scenario: Scenario, *args: Any) -> None:
+        self.scenario = scenario
 
     def __enter__(self) -> "Drawer":
         return self

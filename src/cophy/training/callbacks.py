@@ -46,7 +46,7 @@ class BestValidation(L.Callback):
 
     def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         metrics = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
-        if trainer.sanity_checking:
+        if trainer.sanity_checking or not metrics:  # oracles have none
             return
         check_optimized(self.needed, metrics)
         if metrics.get("val/mse", math.inf) < self.metrics.get("val/mse", math.inf):
