@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable
 from dataclasses import astuple, is_dataclass
 from pathlib import Path
+from statistics import fmean, median
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -179,21 +180,20 @@ def draw_oracles(data: Data) -> Figure:
 
 
 def cost_and_error(results: Results) -> Data:
-    """Return CPU time and MSE of the trained methods of size=small, where the CPU time is known."""
+    """Return the median CPU time and the mean MSE of the trained methods of size=small over their training seeds."""
     points = []
     for scenario, split in CURVES.items():
         for method in COSTS:
-            runs = results.of(scenario, split, method, r"(\+data_seed-1)?")
-            runs = [run for run in runs if run["training_cpu_seconds"] > 0]
-            points += [
-                {"scenario": scenario, "method": method, "minutes": run["training_cpu_seconds"] / 60, "mse": run["mse"]}
-                for run in runs
-            ]
+            runs = [run for run in results.of(scenario, split, method) if run["training_cpu_seconds"] > 0]
+            if runs:
+                minutes = median(run["training_cpu_seconds"] / 60 for run in runs)
+                mse = fmean(run["mse"] for run in runs)
+                points.append({"scenario": scenario, "method": method, "minutes": minutes, "mse": mse})
     return points
 
 
 def draw_cost(data: Data) -> Figure:
-    """A panel per scenario, a point per training."""
+    """A panel per scenario, a point per method."""
     scenarios = list(dict.fromkeys(point["scenario"] for point in data))
     shown = {method: color for method, color in COSTS.items() if method in {point["method"] for point in data}}
     figure, axes = plt.subplots(
@@ -205,7 +205,9 @@ def draw_cost(data: Data) -> Figure:
             marker = STYLES[method][0] if method in STYLES else "P"
             values = ([point[name] for point in points] for name in ("minutes", "mse"))
             axis.plot(*values, marker, color=color, ls="", label=title(method), ms=6)
-        axis.set(xscale="log", yscale="log", xlabel="CPU time of a training, minutes", ylabel="test MSE, m²")
+        axis.set(
+            xscale="log", yscale="log", xlabel="CPU time of a training, minutes (median)", ylabel="test MSE, m² (mean)"
+        )
         for each in (axis.xaxis, axis.yaxis):
             each.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5)))
             each.set_minor_formatter(NullFormatter())
