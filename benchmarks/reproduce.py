@@ -83,7 +83,7 @@ AUDIT_HOURS = 0.05  # estimated
 TEST_HOURS = 0.01  # ours: of published weights, whose test images another run has drawn
 DERENDERER_HOURS = 0.3  # 20,000 frames at 112 px (docs/guides/images.md)
 ORACLE_EXPERIMENTS = 100  # ours: a quarter of the test split of size=small
-FIT_HOURS = {"spheres": 0.3, "trees": 0.05, "trees_confounders": 0.05}  # estimated, for size=small
+FIT_HOURS = {"spheres": 0.2, "trees": 0.01, "trees_confounders": 0.01}  # measured at size=small
 ORACLE_HOURS = ORACLE_EXPERIMENTS * SECONDS_PER_EXPERIMENT / 3600
 
 
