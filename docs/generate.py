@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import product
 from pathlib import Path
-from statistics import median
 
 import yaml
 from result_claims import claims
@@ -254,18 +253,14 @@ def measures(results: Results, method: str, scenario: str, split: str) -> list[s
         return None
     others = [results.cell(measure, *names) for measure in ("share", "twin_difference_explained", "right_twin_chosen")]
     of_seeds = [f" (seeds: {cell.seeds})" if cell and cell.seeds < mse.seeds else "" for cell in others]
-    runs = results.of(*names)
-    seconds, parameters = (
-        median([s for run in runs if (s := run["training_cpu_seconds"]) > 0] or [0]),
-        runs[0]["parameters"],
-    )
-    is_trained = parameters > 0 or seconds > 0
+    minutes, parameters = results.cpu_minutes(*names), results.of(*names)[0]["parameters"]
+    is_trained = parameters > 0 or minutes > 0
     return [
         title(method),
         mse.full(),
         *(cell.full(0, 100) + seeds if cell else NOTHING for cell, seeds in zip(others, of_seeds, strict=True)),
         f"{mse.seeds}" + (f", sd {mse.deviation:.3f}" if mse.seeds > 1 else "") if is_trained else NOTHING,
-        f"{seconds / 60:.1f}" if seconds > 0 else NOTHING,
+        f"{minutes:.1f}" if minutes > 0 else NOTHING,
         f"{parameters:,.0f}" if parameters > 0 else NOTHING,
     ]
 
@@ -317,10 +312,8 @@ def training_time(results: Results) -> str:
     methods = ("in", "cophynet", "alongside", "transformer", "gns")
     rows = []
     for scenario, split in [*CURVES.items(), ("blocktower", "4to4")]:
-        trainings = [results.of(scenario, split, method) for method in methods]
-        known = [[run["training_cpu_seconds"] for run in runs if run["training_cpu_seconds"] > 0] for runs in trainings]
-        minutes = (f"{median(seconds) / 60:.0f}" if seconds else NOTHING for seconds in known)
-        rows.append([column_title(scenario, split), *minutes])
+        minutes = [results.cpu_minutes(scenario, split, method) for method in methods]
+        rows.append([column_title(scenario, split), *(f"{each:.0f}" if each else NOTHING for each in minutes)])
     return markdown(["CPU minutes", *map(title, methods)], rows)
 
 

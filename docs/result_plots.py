@@ -5,7 +5,6 @@ import json
 from collections.abc import Callable
 from dataclasses import astuple, is_dataclass
 from pathlib import Path
-from statistics import fmean, median
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -184,11 +183,9 @@ def cost_and_error(results: Results) -> Data:
     points = []
     for scenario, split in CURVES.items():
         for method in COSTS:
-            runs = [run for run in results.of(scenario, split, method) if run["training_cpu_seconds"] > 0]
-            if runs:
-                minutes = median(run["training_cpu_seconds"] / 60 for run in runs)
-                mse = fmean(run["mse"] for run in runs)
-                points.append({"scenario": scenario, "method": method, "minutes": minutes, "mse": mse})
+            minutes, mse = results.cpu_minutes(scenario, split, method), results.cell("mse", scenario, split, method)
+            if minutes and mse:
+                points.append({"scenario": scenario, "method": method, "minutes": minutes, "mse": mse.value})
     return points
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from statistics import fmean, stdev
+from statistics import fmean, median, stdev
 from typing import Any
 
 from cophy.report.paper_tables import TRUE_POSITIONS, methods, paper_tables, published_mse
@@ -93,6 +93,11 @@ class Results:
             if runs := [run for run in named if re.fullmatch(pattern, run["change"])]:
                 return runs
         return []
+
+    def cpu_minutes(self, scenario: str, split: str, method: str) -> float:
+        """Return the median CPU time of a method's trainings on a split, in minutes; 0 if nothing is trained or it is unknown."""
+        seconds = [run["training_cpu_seconds"] for run in self.of(scenario, split, method)]
+        return median([each for each in seconds if each > 0] or [0]) / 60
 
     def cell(
         self, measure: str, scenario: str, split: str, method: Mapping[str, str] | str, **others: str

@@ -297,7 +297,7 @@ def _explain_no_sweep(override: str) -> str:
     key, _, value = override.partition("=")
     if key.lstrip("+") in LISTS:
         return f"{override}: a list needs brackets: '{key}=[{value}]'"
-    return f"{override}: several values are a sweep, a run each: add -m"
+    return f"{override}: several values are a sweep, a run each: add -m, without --cfg"
 
 
 def _splits_of_scenario(error: BaseException, options: Iterable[str]) -> list[str]:
